@@ -1,6 +1,6 @@
 """Exceptions and warnings of `ccdtools`."""
 
-from ccdtools_ground.errors import CCDError, InputError
+from ccdtools_ground.errors import CCDError, InputError, SimulatorError
 
 __all__ = ["CCDError", "InputError", "JumpWarning", "LimitWarning", "NotDetectableError", "SamplingWarning",
            "SimulatorError"]  # fmt: skip
@@ -25,24 +25,6 @@ class NotDetectableError(CCDError, ValueError):
 
     def __str__(self) -> str:
         return self.message
-
-
-class SimulatorError(InputError):
-    """A simulator hangs or dies in mid-run.
-
-    Attributes
-    ----------
-    step : int or None
-        Sample of the simulation in which it did.
-    kept : Trajectory, Deployment or None
-        What was gathered before: the samples of `simulate` or `deploy`, or the parts of `deploy_and_update` that ended.
-    """
-
-    step: int | None = None
-    kept: object = None
-
-    def __str__(self) -> str:
-        return super().__str__() + ("" if self.step is None else f" It was at step {self.step} of a simulation.")
 
 
 class SamplingWarning(UserWarning):

@@ -64,3 +64,21 @@ class NotConvexError(InputError):
         super().__init__(argument, got, expected, cure)
         self.args = (argument, got, expected, cure, eigenvalue)
         self.eigenvalue = eigenvalue
+
+
+class SimulatorError(InputError):
+    """A simulator or environment hangs or dies in mid-run.
+
+    Attributes
+    ----------
+    step : int or None
+        Sample of the simulation, or of a training since it began here, in which it did.
+    kept : Trajectory, Deployment or None
+        What was gathered before: the samples of `simulate` or `deploy`, or the parts of `deploy_and_update` that ended.
+    """
+
+    step: int | None = None
+    kept: object = None
+
+    def __str__(self) -> str:
+        return super().__str__() + ("" if self.step is None else f" It was at step {self.step} of a simulation.")

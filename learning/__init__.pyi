@@ -5,6 +5,7 @@ from learning.exceptions import (
     DivergedError as DivergedError,
     InputError as InputError,
     LearningError as LearningError,
+    SimulatorError as SimulatorError,
 )
 from learning.gymnasium_envs import GymnasiumEnvs as GymnasiumEnvs
 from learning.networks import ActorCritic as ActorCritic, NetworkConfig as NetworkConfig

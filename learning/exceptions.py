@@ -1,8 +1,8 @@
 """Exceptions of `learning`."""
 
-from ccdtools_ground.errors import InputError, LearningError
+from ccdtools_ground.errors import InputError, LearningError, SimulatorError
 
-__all__ = ["CheckpointError", "DivergedError", "InputError", "LearningError"]
+__all__ = ["CheckpointError", "DivergedError", "InputError", "LearningError", "SimulatorError"]
 
 
 class DivergedError(LearningError):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import zip_longest
 from typing import Any
 
@@ -11,9 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ccdtools_ground.door import as_count, as_number, brief
+from ccdtools_ground.door import as_count, as_number, as_positive, brief
+from ccdtools_ground.own_process import OwnProcess
+from ccdtools_ground.user_functions import in_words
 from learning.budgets import TRIED_STEPS
-from learning.exceptions import InputError
+from learning.exceptions import InputError, SimulatorError
 from learning.networks import ActorCritic, NetworkConfig
 from learning.tolerances import WIDEST
 
@@ -32,18 +35,27 @@ class GymnasiumEnvs:
         Number of environments.
     seed : int
         The first resets have the seeds seed, seed + 1, and so on.
+    step_limit : float, optional
+        Longest time of a call [s], the first of which makes an environment. Each then runs in a process of its own.
 
     Raises
     ------
     InputError
         If `make` makes no environment with such spaces.
+    SimulatorError
+        If one stops, breaks its word, dies or takes longer in a step: which, and in which step since `reset`.
     """
 
-    def __init__(self, make: str | Callable[[], Any], *, runs: int = 4, seed: int = 0) -> None:
+    def __init__(
+        self, make: str | Callable[[], Any], *, runs: int = 4, seed: int = 0, step_limit: float | None = None
+    ) -> None:  # fmt: skip
         as_count("runs", runs)
         as_count("seed", seed, least=0)
-        self.envs = [_made(make) for _ in range(runs)]
+        if step_limit is not None:
+            as_positive("step_limit", step_limit, unit="s")
+        self.envs = [_made(make) if step_limit is None else _Apart(make, step_limit) for _ in range(runs)]
         self.seed = seed
+        self.taken = 0
         if len({id(env.unwrapped) for env in self.envs}) < runs:
             raise InputError("make", "one environment again and again", "a new one at every call")
         spaces = [(_box(env, "observation_space"), _box(env, "action_space")) for env in self.envs]
@@ -73,31 +85,34 @@ class GymnasiumEnvs:
 
     def reset(self) -> Tensor:
         """Fresh observations (runs, n_obs), from the seeds."""
-        return torch.stack([self._seen(env.reset(seed=self.seed + i)[0]) for i, env in enumerate(self.envs)])
+        self.taken = 0
+        return torch.stack([self._begun(i, seed=self.seed + i) for i in range(len(self.envs))])
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `VectorEnv`."""
         if actions.shape != (len(self.envs), len(self._lower)):
             raise InputError("actions", f"shape {tuple(actions.shape)}", f"({len(self.envs)}, {len(self._lower)})")
         following, successors, rewards, terminated, truncated = [], [], [], [], []
-        for env, action in zip(self.envs, actions.double().numpy()):
+        for i, action in enumerate(actions.double().numpy()):
             rounded = action.astype(self._lower.dtype)  # can be beyond a bound
-            successor, reward, over, cut = self._stepped(env, np.clip(rounded, self._lower, self._upper))
+            successor, reward, over, cut = self._stepped(i, np.clip(rounded, self._lower, self._upper))
             successors.append(successor)
-            following.append(self._seen(env.reset()[0]) if over or cut else successor)
+            following.append(self._begun(i) if over or cut else successor)
             rewards.append(reward)
             terminated.append(over)
             truncated.append(cut and not over)
+        self.taken += 1
         flags = torch.tensor(terminated), torch.tensor(truncated)
         return torch.stack(following), torch.stack(successors), torch.tensor(rewards, dtype=torch.float32), *flags
 
     def state(self) -> bytes:
         """Environments where they stand, for `restore`."""
-        if any("EzPickle" in (base.__name__ for base in type(env.unwrapped).__mro__) for env in self.envs):
-            expected = "one that pickle keeps where it stands: this one is made anew and could not go on exactly"
-            raise InputError("env", repr(self.envs[0].unwrapped)[:60], expected)
         try:
-            return pickle.dumps(self.envs)
+            envs = [env.call("kept") if isinstance(env, _Apart) else env for env in self.envs]
+            if any("EzPickle" in (base.__name__ for base in type(env.unwrapped).__mro__) for env in envs):
+                expected = "one that pickle keeps where it stands: this one is made anew and could not go on exactly"
+                raise InputError("env", repr(envs[0].unwrapped)[:60], expected)
+            return pickle.dumps(envs)
         except (AttributeError, TypeError, pickle.PicklingError) as error:
             raise InputError("env", str(error), "environments that pickle can keep") from None
 
@@ -113,23 +128,47 @@ class GymnasiumEnvs:
         own, kept = ([(env.observation_space, env.action_space) for env in some] for some in (self.envs, envs))
         if own != kept:
             raise InputError("state", f"{len(kept)} environments of {kept[0]}", f"{len(own)} of {own[0]}")
-        self.envs = envs
+        if isinstance(self.envs[0], _Apart):
+            for env, one in zip(self.envs, envs):
+                env.call("kept", one)
+        else:
+            self.envs = envs
+        self.taken = 0
 
     def _tried(self) -> list[list[float]]:
         """Rewards and observations, 1 + n_obs numbers a step, of a few steps of the first environment."""
-        env = self.envs[0]
-        rows = [[0.0, *self._seen(env.reset(seed=self.seed)[0]).tolist()]]
+        rows = [[0.0, *self._begun(0, seed=self.seed).tolist()]]
         for share in np.linspace(0.25, 0.75, TRIED_STEPS):
             action = self._lower + share * (self._upper - self._lower)
-            observation, reward, over, cut = self._stepped(env, action.astype(self._lower.dtype))
+            observation, reward, over, cut = self._stepped(0, action.astype(self._lower.dtype))
             rows.append([reward, *observation.tolist()])
             if over or cut:
                 break
         return rows
 
-    def _stepped(self, env: Any, action: Array) -> tuple[Tensor, float, bool, bool]:
+    def _begun(self, i: int, **seed: int) -> Tensor:
+        """First observation of an environment."""
+        with self._named(i):
+            return self._seen(self.envs[i].reset(**seed)[0])
+
+    @contextmanager
+    def _named(self, i: int) -> Iterator[None]:
+        """What stops within is an error that names environment and step."""
+        try:
+            yield
+        except Exception as error:
+            own = error if isinstance(error, InputError) else InputError("env", in_words(error)[0], "an answer")
+            named = SimulatorError("env", f"{own.got} from environment {i}", own.expected, own.cure)
+            named.step = self.taken
+            raise named from error
+
+    def _stepped(self, i: int, action: Array) -> tuple[Tensor, float, bool, bool]:
         """Observation, reward, terminated and truncated of a step."""
-        result = env.step(action)
+        with self._named(i):
+            return self._read(self.envs[i].step(action))
+
+    def _read(self, result: Any) -> tuple[Tensor, float, bool, bool]:
+        """Observation, reward, terminated and truncated, as Gymnasium states them."""
         if not isinstance(result, tuple) or len(result) != 5:
             raise InputError("env", f"{brief(repr(result))} of a step", "what Gymnasium states: five values")
         observation, reward, over, cut, _ = result
@@ -143,6 +182,40 @@ class GymnasiumEnvs:
             got = f"an observation of shape {row.shape}, {row.dtype}, {row}"
             raise InputError("env", got, f"finite ones of shape ({n},), {self._type}, as its space states")
         return torch.from_numpy(row.astype(np.float32))
+
+
+class _Apart:
+    """Environment in a process of its own."""
+
+    def __init__(self, make: Any, limit: float) -> None:
+        self.call = OwnProcess(_Held(make), limit, ("call", "given"))
+        self.observation_space, self.action_space = self.call("spaces")
+        self.unwrapped = self
+
+    def reset(self, **seed: int) -> Any:
+        """First observation."""
+        return self.call("reset", seed)
+
+    def step(self, action: Array) -> Any:
+        """Result of a step."""
+        return self.call("step", action)
+
+
+class _Held:
+    """Environment that answers calls, made at the first."""
+
+    def __init__(self, make: Any) -> None:
+        self.make = make
+        self.env: Any = None
+
+    def __call__(self, name: str, given: Any = None) -> Any:
+        self.env = _made(self.make) if self.env is None else self.env
+        if name == "kept":
+            self.env = self.env if given is None else given
+            return self.env
+        if name == "spaces":
+            return self.env.observation_space, self.env.action_space
+        return self.env.reset(**given) if name == "reset" else self.env.step(given)
 
 
 def _made(make: Any) -> Any:

@@ -18,6 +18,7 @@ from ccdtools_ground.door import as_array, as_count, as_instance, as_vector, sho
 
 if TYPE_CHECKING:
     from gymnasium import Env, spaces
+    from gymnasium.envs.registration import EnvSpec
     from gymnasium.utils.seeding import np_random
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 else:
     try:
         from gymnasium import Env as Base, spaces
+        from gymnasium.envs.registration import EnvSpec
         from gymnasium.utils.seeding import np_random
         from gymnasium.vector import AutoresetMode, VectorEnv as VectorBase
         from gymnasium.vector.utils import batch_space
@@ -64,6 +66,8 @@ class DesignEnv(Base):
         self._episodes = _Episodes("DesignEnv", problem, design, 1)
         self.problem = problem
         self.observation_space, self.action_space = self._episodes.spaces()
+        made: Any = DesignEnv
+        self.spec = EnvSpec("ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design})
 
     @property
     def design(self) -> Array:

@@ -240,6 +240,13 @@ class CoDesignProblem(Immutable):
         w = w if w.shape == (box.nw,) else np.zeros(box.nw)  # what is wrong with it is said later
         extent = np.r_[self.state_scale, np.max(np.abs(self.input_bounds), axis=0), w + (w == 0)]
         model = SimulatedModel(box, extent)
+        rest = np.zeros(box.nx), np.zeros(box.nu)
+        apart = np.abs(
+            np.subtract(*(model.undisturbed(model.design.project(model.design.centre))(*rest) for _ in "12"))
+        )
+        if (apart > ACCURACY * self.state_scale).any():
+            got = f"a simulator whose steps from one state differ by {apart.max():.3g}"
+            raise InputError("model", got, "a deterministic one", "What is random enters by w.")
         check_at_rest("model", model, as_names("state_names", (), box.nx, "x"), ACCURACY * self.state_scale)
         return model
 

@@ -52,6 +52,8 @@ class Compared:
         What making the controller took, in the median of the seeds: time, and samples of the environment.
     metrics : dict of str to float
         Means over the seeds.
+    c_step_time : float
+        Of exported C [s], in the median of the seeds; NaN where it was not asked for or is not exported.
     remark : str
         Why seeds are missing, or what the controller says of itself.
     """
@@ -69,6 +71,7 @@ class Compared:
     seconds: float
     steps: float
     metrics: dict[str, float]
+    c_step_time: float
     remark: str
 
     @property
@@ -140,6 +143,7 @@ def compared(
         times=np.concatenate([np.zeros(0), *(cell.times for cell in cells)]),
         seconds=float(np.median([one.seconds for one in made])) if made else float("nan"),
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
+        c_step_time=float(np.median([one.c_step_time for one in made])) if made else float("nan"),
         metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
         remark=next(iter([*refused, *(one.remark for one in records if one.remark)]), ""),
     )  # fmt: skip

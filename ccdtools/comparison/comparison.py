@@ -232,7 +232,8 @@ def compare(
     baseline : str, optional
         The controller that the others are paired to; "LQR" by default, or the first where there is none.
     compiled : bool
-        Whether the C code of learned policies and of explicit MPC is compiled and timed, too, where ``cc`` is found.
+        Whether the C code of learned policies, with memory or filter, and of explicit MPC is compiled and timed, too,
+        where ``cc`` is found.
 
     Raises
     ------
@@ -307,7 +308,7 @@ def _score(
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
         runs=n,
         remark=getattr(controller, "remark", ""),
-        c_step_time=c_step_time(controller, run.states[0]) if compiled else float("nan"),
+        c_step_time=c_step_time(controller, run) if compiled else float("nan"),
     )
 
 

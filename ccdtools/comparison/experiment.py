@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.budgets import PROBES
+from ccdtools.comparison.c_step_time import c_step_time
 from ccdtools.comparison.comparison import step_times
 from ccdtools.comparison.content import content_of
 from ccdtools.comparison.experiment_header import conditions_in_words, described
@@ -34,7 +35,7 @@ from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.scenario import Scenario
 from ccdtools.trajectory import Trajectory
-from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
+from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_mapping, as_vector, shown, writable_path
 from ccdtools_ground.user_functions import stopped
 from invariant_sets.system_checks import as_set
 
@@ -58,6 +59,7 @@ class Plan:
     metrics: Metrics | None
     folder: Path | None
     contents: Mapping[str, str]  # of the controllers' functions, where there is a folder
+    compiled: bool
 
     def record(self, task: Task) -> Record:
         """Record of a task, from the folder where it is finished."""
@@ -105,9 +107,16 @@ class Plan:
             reason = reason if isinstance(error, CCDError) else f"stopped with {type(error).__name__}: {reason}"
             place = ", ".join(name for name in at if name)
             return Record(*task, refused=f"{place}: {reason}" if place else reason)
+        in_c = c_step_time(controller, next(iter(runs.values()))[0]) if self.compiled else float("nan")
         cells = tuple(self._cell(names, scenarios[names], *found) for names, found in runs.items())
         return Record(
-            *task, cells, seconds, steps, remark=str(getattr(controller, "remark", "")), about=described(given)
+            *task,
+            cells,
+            seconds,
+            steps,
+            remark=str(getattr(controller, "remark", "")),
+            about=described(given),
+            c_step_time=in_c,
         )
 
     def _cell(self, names: tuple[str, str], scenario: Scenario, run: Trajectory, times: Array) -> Cell:
@@ -137,7 +146,7 @@ class Plan:
     def _digest(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> str:
         """Name of a task, what makes its controller, and its conditions."""
         p = self.designs[task[1]]
-        parts: list[Any] = [*task, self.contents[task[0]], p, self.limit]
+        parts: list[Any] = [*task, self.contents[task[0]], p, self.limit, *["compiled"] * self.compiled]
         for names, scenario in scenarios.items():
             followed = (getattr(scenario.reference, name, None) for name in ("x", "u"))
             noise = getattr(scenario.output, "noise", None)
@@ -189,6 +198,7 @@ def experiment(
     folder: str | Path | None = None,
     jobs: int = 1,
     progress: bool = False,
+    compiled: bool = False,
 ) -> Experiment:
     """Controllers × designs × scenarios × plants × seeds, compared in pairs.
 
@@ -228,6 +238,8 @@ def experiment(
     jobs : int
         Processes, −1 for all cores; joblib's backend is taken, such as Dask's.
     progress : bool
+    compiled : bool
+        Whether exported C is timed, too, as by `compare`.
 
     Returns
     -------
@@ -256,6 +268,7 @@ def experiment(
         made, _as_scenarios(scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
         output_limits, metrics, None if folder is None else _as_folder(folder),
         {} if folder is None else {name: content_of(maker) for name, maker in made.items()},
+        as_flag("compiled", compiled),
     )  # fmt: skip
     numbers = as_seeds(seeds)
     _check(plan, numbers[0])

@@ -64,12 +64,14 @@ def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baselin
     rows = np.arange(len(cells))
     for row, cell in zip(rows, cells):
         found = cell.evidence
+        if not cell.seeds:
+            ax.text(0.02, row, "not made", transform=ax.get_yaxis_transform(), va="center", fontsize="small")
         mean, low, high = (100 * value / (found.size or np.nan) for value in (found.gain.mean, *found.gain.ci95))
         ax.plot([low, high], [row, row], color=colours[cell.names[0]], lw=1.5)
         ax.plot(mean, row, "o", color=colours[cell.names[0]], ms=4)
     ax.axvline(0.0, color="#444444", lw=0.9)
     ax.set_yticks(rows, [", ".join(name for name in cell.names if name) for cell in cells])
-    ax.invert_yaxis()
+    ax.set_ylim(max(len(cells), 1) - 0.5, -0.5)
     ax.set_xscale("symlog", linthresh=1.0)  # one far behind hides no difference between the others
     ax.set_xlabel(f"gain over {baseline} [%], 95 % interval")
 
@@ -88,9 +90,13 @@ def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
     every = np.concatenate([np.zeros(0), *(part for parts in found.values() for part in parts)])
     shown = every[np.isfinite(every)]
     ends = np.quantile(shown, [0.01, 0.99]) if len(shown) else (-1.0, 1.0)
-    for name, parts in found.items():
-        values = np.sort(np.concatenate(parts))
-        ax.step(values, 1 - np.arange(len(values)) / len(values), color=colours[name], label=name, where="pre")
+    for k, name in enumerate(dict.fromkeys(one.controller for one in experiment.records)):
+        values = np.sort(np.concatenate(found.get(name, [np.zeros(0)])))
+        above = 1 - np.arange(len(values)) / max(len(values), 1)
+        label = name if len(values) else f"{name}: not made"
+        ax.step(
+            values, above, color=colours[name], label=label, where="pre", ls=("--", "-.", ":")[k % 3 - 1] if k else "-"
+        )
     ax.set_xlim(*ends)
     ax.set_xlabel(f"return less {experiment.baseline}'s mean [%]")
     ax.set_ylabel("share of runs above")
@@ -106,6 +112,6 @@ def _plot_times(ax: Any, cells: list[Compared], colours: dict[str, str]) -> None
         ax.plot([median, most], [row, row], color=colours[name], lw=1.5)
         ax.plot(median, row, "o", color=colours[name], ms=4)
     ax.set_yticks(range(len(names)), names)
-    ax.invert_yaxis()
+    ax.set_ylim(max(len(names), 1) - 0.5, -0.5)
     ax.set_xscale("log")
     ax.set_xlabel("µs a step:\nmedian to 99th percentile")

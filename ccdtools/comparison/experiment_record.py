@@ -51,6 +51,7 @@ class Record:
     refused: str = ""  # why there is no controller; empty where there is one
     remark: str = ""  # what the controller says of itself
     about: str = ""  # the controller in words
+    c_step_time: float = float("nan")  # of its exported C [s], where it was asked for and exists
 
 
 def digest(*parts: Any) -> str:

@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
@@ -154,7 +156,7 @@ class Experiment:
         metrics = list(dict.fromkeys(name for cell in self for name in cell.metrics))
         head = (
             *(AXES[i] for i in told), "return", "95 % interval", "middle half", f"against {self.baseline}", "better in",
-            "lost", f"outside {self.limits}", "µs a step", "training", *metrics, "verdict",
+            "lost", f"outside {self.limits}", "µs a step", *self._in_c, "training", *metrics, "verdict",
         )  # fmt: skip
         lines = [(*(cell.names[i] for i in told), *self._cells(cell, metrics)) for cell in self]
         return Table(head, lines, right=frozenset(range(len(told), len(head) - 1)))
@@ -166,7 +168,7 @@ class Experiment:
         runs = " or ".join(str(n) for n in sorted({cell.runs for cell in self}))
         lines = [
             f"{seeds} seed{'s'[: seeds - 1]}, {runs} runs of each. µs a step: median, 99th percentile. "
-            "Training: median of the seeds.",
+            f"{'In C: of the exported code. ' * len(self._in_c)}Training: median of the seeds.",
             f"Per cents are of what control costs {self.baseline}, the price of the design left out.",
         ]
         if seeds == 1:
@@ -183,16 +185,24 @@ class Experiment:
     def _repr_html_(self) -> str:
         return self.table.html + paragraphs(self.notes)
 
+    @property
+    def _in_c(self) -> tuple[str, ...]:
+        """Head of the column of exported C, where there is one."""
+        return ("in C",) * any(np.isfinite(cell.c_step_time) for cell in self)
+
     def _cells(self, cell: Compared, metrics: list[str]) -> tuple[str, ...]:
         """Texts of a line, but for its names; the baseline is not compared."""
         low, high = (number(end) for end in cell.value.ci95)
         median, most = (number(1e6 * time, 3) for time in cell.step_time)
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
         base = cell.names[0] == self.baseline
-        against = ("", "") if base else (cell.evidence.percent, share(cell.better.mean))
+        ends = ", ".join(number(100 * end, 2) for end in np.clip(cell.better.ci95, 0.0, 1.0))
+        better = f"{share(cell.better.mean)} [{ends}]"
+        against = ("", "") if base else (cell.evidence.percent, better)
+        in_c = [number(1e6 * cell.c_step_time, 3)] * len(self._in_c)
         lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))
         return (
             number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
-            share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
-            "" if base else cell.word,
+            share(cell.fraction), f"{median}, {most}", *in_c, training,
+            *(number(cell.metrics.get(name)) for name in metrics), "" if base else cell.word,
         )  # fmt: skip

@@ -79,7 +79,7 @@ class OnnxPolicy:
         try:
             self._session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
         except Exception as error:  # the runtime's own errors have no common base but this
-            reason = brief(str(error).partition("\n")[0])
+            reason = brief(str(error).partition("\n")[0].rpartition(" failed:")[2], 300)  # it begins with the path
             raise InputError("path", reason, "an ONNX model that onnxruntime can run") from None
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         kinds = {"tensor(double)": np.float64, "tensor(float)": np.float32}

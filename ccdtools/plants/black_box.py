@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.own_process import OwnProcess
 from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
+from ccdtools_ground.own_process import OwnProcess
 from ccdtools_ground.user_functions import stopped
 
 
@@ -125,9 +125,9 @@ def _advanced(box: BlackBox, x: Array, u: Array, w: Array, p: Array) -> Array:
 def from_gymnasium(
     env: Any,
     *,
-    read: Callable[[Any], ArrayLike],
-    write: Callable[[Any, Array], None],
-    dt: float,
+    read: Any = None,
+    write: Any = None,
+    dt: float | None = None,
     design: DesignSpace = NO_DESIGN,
     build: Callable[[Any, Array], None] | None = None,
     step_limit: float | None = None,
@@ -139,11 +139,11 @@ def from_gymnasium(
     env : gymnasium.Env
         With a box of actions (nu,); its time limit and its rewards are not looked at. It must be deterministic.
     read : function of the unwrapped environment → x (nx,)
-        State at which it stands.
+        State at which it stands; required.
     write : function of the unwrapped environment and x (nx,)
-        Puts it into a state.
-    dt : float
-        Time of a step [s].
+        Puts it into a state; required.
+    dt : float, optional
+        Time of a step [s]; by default `dt` of the unwrapped environment.
     design : DesignSpace
         Its parameters, if any are to be designed; `build` is then required.
     build : function of the unwrapped environment and p (np,), optional
@@ -160,18 +160,23 @@ def from_gymnasium(
     --------
     >>> def write(env, x):
     ...     env.state = x
-    >>> plant = from_gymnasium(gymnasium.make("Pendulum-v1"), read=lambda env: env.state, write=write, dt=0.05)
+    >>> plant = from_gymnasium(gymnasium.make("Pendulum-v1"), read=lambda env: env.state, write=write)
     """
-    for name, given in (("read", read), ("write", write), ("build", build)):
+    tasks = {"read": "env → x, where it stands", "write": "(env, x), which puts it there", "build": "(env, p)"}
+    for (name, task), given in zip(tasks.items(), (read, write, build)):
         if not callable(given) and (name != "build" or given is not None):
-            raise InputError(name, shown(given), "a function of the environment")
+            cure = "An environment whose state cannot be written is no plant."
+            raise InputError(name, shown(given), f"a function {task}", cure)
     as_instance("design", design, DesignSpace, "a DesignSpace")
     if design.dim and build is None:
         raise InputError("build", "none", "a function (env, p) that gives the environment a design")
     shape = getattr(getattr(env, "action_space", None), "shape", None)
     if not hasattr(env, "unwrapped") or shape is None or len(shape) != 1 or not hasattr(env.action_space, "low"):
-        raise InputError("env", shown(env), "a Gymnasium environment with a box of actions (nu,)")
-    inner = env.unwrapped
+        actions = getattr(env, "action_space", None)
+        got = shown(env) if actions is None else f"an environment with the actions {actions}"
+        raise InputError("env", got, "a Gymnasium environment with a box of actions (nu,)")
+    inner: Any = env.unwrapped
+    dt = as_positive("dt", getattr(inner, "dt", None) if dt is None else dt, unit="s")
 
     def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""

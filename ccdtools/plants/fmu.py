@@ -22,8 +22,8 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.budgets import EVENT_ROUNDS
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.own_process import OwnProcess
 from ccdtools_ground.door import as_count, as_instance, as_positive, nearest, shown
+from ccdtools_ground.own_process import OwnProcess
 
 
 def from_fmu(
@@ -137,7 +137,8 @@ class FmuStep:
             model.instantiate()
         except Exception as error:
             got = f"an FMU that does not load: {' '.join(str(error).split())[:120]}"
-            raise InputError("path", got, f"one with a binary for {fmpy.platform}") from error
+            has = ", ".join(fmpy.supported_platforms(str(self.path))) or "none"
+            raise InputError("path", got, f"one with a binary for {fmpy.platform}; it has {has}") from error
         return model, {}
 
     def begin(self, p: Array) -> None:

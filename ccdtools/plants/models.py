@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from types import NoneType
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,40 +16,13 @@ from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.simulated_model import Simulable as Simulable, SimulatedModel, Step as Step
 from ccdtools.plants.tolerances import MODEL_AT_REST
 from ccdtools_ground.door import as_count, as_instance, as_number, shown
 
-Model: TypeAlias = LinearModel | SampledModel
-Step = Callable[[Array, Array, Array], Array]
+Model: TypeAlias = LinearModel | SampledModel | SimulatedModel
 
 DEVIATIONS = "State it about its equilibrium, as discretise(deviations(plant, equilibrium(plant, p))) does."
-
-
-class Simulable(Protocol):
-    """Protocol of a plant that `simulate` can step."""
-
-    @property
-    def nx(self) -> int:
-        """Number of states."""
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-
-    @property
-    def nw(self) -> int:
-        """Number of disturbances."""
-
-    @property
-    def dt(self) -> float:
-        """Sampling time [s]."""
-
-    @property
-    def design(self) -> DesignSpace | None:
-        """Box of designs, if any."""
-
-    def stepper(self, p: Array, *, batch: int) -> Step:
-        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
 
 
 class PlantOfModel:
@@ -113,8 +86,10 @@ def steps_alone(value: Any) -> bool:
 
 
 def as_model(argument: str, value: Any) -> Model:
-    """`value`, if it is a model; else an `InputError`."""
-    if not isinstance(value, LinearModel | SampledModel):
+    """`value`, if it is a model; the model of a simulator; else an `InputError`."""
+    if steps_alone(value) and not isinstance(value, SimulatedModel):
+        return SimulatedModel(as_simulable(value, argument))
+    if not isinstance(value, LinearModel | SampledModel | SimulatedModel):
         raise InputError(argument, shown(value), "a LinearModel or a SampledModel", "Pass discretise(plant).")
     return value
 
@@ -131,7 +106,7 @@ def as_regulated_model(argument: str, value: Any) -> Model:
     model = as_model(argument, value)
     if isinstance(model, SampledModel):
         check_at_rest(argument, model, model.plant.state_names)
-    elif model.affine:
+    elif isinstance(model, LinearModel) and model.affine:
         raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", DEVIATIONS)
     return model
 

@@ -67,15 +67,16 @@ def with_preview(model: Model | Plant, steps: int, *, channels: Sequence[int] | 
     >>> ahead = with_preview(discretise(plant), 10)
     >>> K, _ = lqr(*ahead.matrices(p)[:2], Q=previewed_objective(objective, 10).Q, R=objective.R)  # doctest: +SKIP
     """
-    as_instance("model", model, (LinearModel, SampledModel, Plant), "a LinearModel, a SampledModel or a Plant")
+    kinds = "a LinearModel, a SampledModel or a Plant"
+    given: Any = as_instance("model", model, (LinearModel, SampledModel, Plant), kinds)
     steps = as_count("steps", steps)
     known = as_channels(channels, model.nw)
-    if isinstance(model, LinearModel):
-        return _linear(model, steps, known)
-    if isinstance(model, SampledModel):
-        return _sampled(model, steps, known)
-    step = discretise(model, sampling_guard="ignore").step if model.linear else model.step  # exact where it can be
-    return _plant(model, step, steps, known)
+    if isinstance(given, LinearModel):
+        return _linear(given, steps, known)
+    if isinstance(given, SampledModel):
+        return _sampled(given, steps, known)
+    step = discretise(given, sampling_guard="ignore").step if given.linear else given.step  # exact where it can be
+    return _plant(given, step, steps, known)
 
 
 def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,26 +15,53 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.tolerances import SIMULATED_STEP
 
-if TYPE_CHECKING:
-    from ccdtools.plants.models import Simulable
-
+Step = Callable[[Array, Array, Array], Array]
 POINTS = np.arange(-2.0, 3.0)  # Steps at which a slope asks, exact to fourth order.
+
+
+class Simulable(Protocol):
+    """Protocol of a plant that `simulate` can step."""
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances."""
+
+    @property
+    def dt(self) -> float:
+        """Sampling time [s]."""
+
+    @property
+    def design(self) -> DesignSpace | None:
+        """Box of designs, if any."""
+
+    def stepper(self, p: Array, *, batch: int) -> Step:
+        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedModel(Immutable):
     """Model of a simulator, with slopes by differences.
 
-    A `CoDesignProblem` makes it. A slope asks the simulator four times for each state, input, disturbance and free
-    entry of the design that is no whole number; noise of the simulator is a thousand times as large in it. For a design
-    between whole numbers it is asked at the nearest ones.
+    A `CoDesignProblem` or a `DigitalTwin` makes it. A slope asks the simulator four times for each state, input,
+    disturbance and free entry of the design that is no whole number; noise of the simulator is a thousand times as
+    large in it. For a design between whole numbers it is asked at the nearest ones.
 
     Parameters
     ----------
     box : BlackBox, or another Simulable
         Its step must hold no memory.
-    extent : (nx + nu + nw,) array_like
-        Sizes of states, inputs and disturbances, which steps are parts of.
+    extent : (nx + nu + nw,) array_like, optional
+        Sizes of states, inputs and disturbances, which steps are parts of; 1 by default.
+    errors : bool
+        Whether the disturbance is (w, r), of which r (nx,) is added to the next state.
 
     References
     ----------
@@ -42,7 +69,8 @@ class SimulatedModel(Immutable):
     """
 
     box: Simulable
-    extent: ArrayField
+    extent: ArrayField = None
+    errors: bool = False
 
     few_rows = np.inf  # a step has no parts whose states are kept for the way back
 
@@ -62,7 +90,7 @@ class SimulatedModel(Immutable):
     @property
     def nw(self) -> int:
         """Number of disturbances."""
-        return self.box.nw
+        return self.box.nw + self.nx * self.errors
 
     @property
     def dt(self) -> float:
@@ -96,6 +124,10 @@ class SimulatedModel(Immutable):
         p = self.design.check_one(p)
         return lambda x, u, w: self.advance(x, u, w, p)
 
+    def with_errors(self) -> SimulatedModel:
+        """Model driven by (w, r), with r (nx,) added to the next state."""
+        return replace(self, errors=True)
+
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
         """Step of x and u (..., n) without disturbances."""
         step = self.stepper(p, batch=1)
@@ -118,7 +150,12 @@ class SimulatedModel(Immutable):
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
         """x⁺ (n, nx) of rows, or common (·,) u, w, p."""
         u, w = (np.broadcast_to(part, (len(x), part.shape[-1])) for part in held[:2])
-        p = np.where(self.design.whole, np.round(held[2]), held[2])
+        w, r = np.split(w, [self.box.nw], axis=1)
+        return self._own_rows(x, u, w, held[2]) + r if self.errors else self._own_rows(x, u, w, held[2])
+
+    def _own_rows(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """x⁺ (n, nx) without errors."""
+        p = np.where(self.design.whole, np.round(p), p)
         p = np.clip(p, *self.design.outermost)  # single precision rounds
         if p.ndim == 1:
             return self.box.stepper(p, batch=len(x))(x, u, w)
@@ -150,7 +187,7 @@ class SimulatedModel(Immutable):
         """
         p = self.design.check(p)
         designs = np.atleast_2d(p)
-        J = self._jacobian(*(np.zeros((len(designs), size)) for size in self.sizes[:3]), designs, of=3)
+        J = self._jacobian(*(np.zeros((len(designs), size)) for size in self.sizes[:3]), designs, by=range(3))
         if not np.isfinite(J).all():
             got = f"a design at which a step beside rest is not finite: {p.tolist()}"
             raise InputError("design", got, "one where the simulator goes on", "Leave it out of the design bounds.")
@@ -175,10 +212,16 @@ class SimulatedModel(Immutable):
         slopes = np.concatenate(self.derivatives(np.clip(p, self.design.lower, self.design.upper)), axis=1)
         return slopes.transpose(1, 0, 2).reshape(-1, self.design.dim)
 
-    def _jacobian(self, *parts: Array, of: int = 4) -> Array:
-        """Slopes (n, nx, ·) by the first few parts."""
-        out = np.zeros((len(parts[0]), self.nx, sum(self.sizes[:of])))
-        for i in range(of):
+    def by_disturbance(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """Slopes ∂x⁺/∂w (n, nx, nw) at rows."""
+        return self._jacobian(x, u, w, p, by=(2,))[..., self.nx + self.nu :]
+
+    def _jacobian(self, *parts: Array, by: Sequence[int] = range(4)) -> Array:
+        """Slopes (n, nx, ·) by some parts, zeros before them."""
+        out = np.zeros((len(parts[0]), self.nx, sum(self.sizes[: by[-1] + 1])))
+        if self.errors:
+            out[:, :, sum(self.sizes[:3]) - self.nx : sum(self.sizes[:3])] = np.eye(self.nx)
+        for i in by:
             for j, points in self._points(i, parts[i]):
                 for weight, moved in points:
                     given = (*parts[:i], moved, *parts[i + 1 :])
@@ -188,7 +231,8 @@ class SimulatedModel(Immutable):
     def _points(self, i: int, part: Array) -> Iterator[tuple[int, list[tuple[Array, Array]]]]:
         """Entries that move, with weights and points of their slopes."""
         if i < 3:
-            steps = SIMULATED_STEP * np.split(self.extent, np.cumsum(self.sizes[:2]))[i]
+            extent = np.ones(self.nx + self.nu + self.box.nw) if self.extent is None else self.extent
+            steps = SIMULATED_STEP * np.split(extent, np.cumsum(self.sizes[:2]))[i]
             shifts = np.zeros(len(steps))
         else:  # within the box, and between no whole numbers
             lower, upper = self.design.lower, self.design.upper

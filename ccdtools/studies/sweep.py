@@ -69,8 +69,12 @@ def read_sweep(path: str | Path) -> list[SweptRun]:
         changes = {name: options[name] for name in several}
         text = "_".join(f"{name}-{_text(value)}" for name, value in changes.items()) or "run"
         runs.append(SweptRun(re.sub(r"[^\w.,+=-]", "_", text), changes, Options(**options)))
+    for name in several:
+        texts = [_text(value) for value in swept[name]]
+        if len(set(texts)) < len(texts):
+            raise InputError("file", f"{name} = {', '.join(texts)}", "values that do not repeat")
     if len({run.name for run in runs}) < len(runs):
-        raise InputError("file", "values that repeat", "different ones of every option")
+        raise InputError("file", "runs whose folders have one name", "values that differ by letters or digits")
     return runs
 
 

@@ -119,7 +119,7 @@ class TwinPlant(Immutable, PlantOfModel):
     error: ArrayField | None = None
 
     def __post_init__(self) -> None:
-        as_model("model", self.model)
+        object.__setattr__(self, "model", as_model("model", self.model))
         as_instance("discrepancy", self.discrepancy, Discrepancy, "a Discrepancy")
         if self.discrepancy.network.outputs != self.model.nx:
             raise InputError("discrepancy", f"{self.discrepancy.network.outputs} states", f"{self.model.nx}")

@@ -59,6 +59,7 @@ def disturbance_set(
     ----------
     Vovk, Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005 (split conformal prediction).
     """
+    model = model if model is None else as_model("model", model)
     given = errors_of(logs, model)
     for i, log in enumerate(given):
         as_finite(f"logs[{i}].e_next", log.e_next)
@@ -66,7 +67,7 @@ def disturbance_set(
             got = f"design {log.p} beside {given[0].p}"
             raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")
         if model is not None:
-            check_errors(f"logs[{i}]", as_model("model", model), log)
+            check_errors(f"logs[{i}]", model, log)
     if model is not None:
         given = [of_linearisation(model, log) for log in given]
     level = as_share("level", level)

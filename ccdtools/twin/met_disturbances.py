@@ -8,12 +8,13 @@ import torch
 
 from ccdtools.arrays import Array, Indices
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.twin.budgets import DERIVATIVES_AT_ONCE
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.tolerances import LARGEST_UNTOLD, SETTLED_STEP, TOLD, UNTOLD
 
 
-def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:
+def met_disturbances(model: SampledModel | SimulatedModel, log: Residuals, scale: Array) -> Array:
     """Disturbances ŵ (n, T, nw) that fit the log best in units of `scale` (nx,).
 
     It is zero where w has no effect. Where the effect is less than a tenth of the largest in the log, ŵ is at most
@@ -33,7 +34,7 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
 class _LeastSquares:
     """Gauss–Newton least squares of all samples, with steps shortened until they improve."""
 
-    def __init__(self, model: SampledModel, log: Residuals, scale: Array) -> None:
+    def __init__(self, model: SampledModel | SimulatedModel, log: Residuals, scale: Array) -> None:
         self._model = model
         self._scale = scale
         _, self.x, self.u, _, e_next = log.columns()
@@ -100,6 +101,12 @@ class _LeastSquares:
         parts = []
         for first in range(0, len(some), DERIVATIVES_AT_ONCE):
             chosen = some[first : first + DERIVATIVES_AT_ONCE]
+            if isinstance(self._model, SimulatedModel):
+                by_w = self._model.by_disturbance(
+                    self.x[chosen], self.u[chosen], w[first : first + len(chosen)], self.p
+                )
+                parts.append(by_w / self._scale[:, None])
+                continue
             at = torch.tensor(w[first : first + DERIVATIVES_AT_ONCE], requires_grad=True)
             after = self._model.pathwise(torch.tensor(self.x[chosen]), torch.tensor(self.u[chosen]), at, p)
             rows = [torch.autograd.grad(after[:, i].sum(), at, retain_graph=True)[0] for i in range(after.shape[1])]
@@ -107,11 +114,12 @@ class _LeastSquares:
         return np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
+def _starts(model: SampledModel | SimulatedModel, fit: _LeastSquares) -> list[Array]:
     """Starts (nw,) per channel and sign, besides zero; none if affine in w."""
-    plant = model.plant
-    if not ca.depends_on(ca.jacobian(plant.dynamics, plant.w), plant.w):
-        return []
+    if isinstance(model, SampledModel):  # of a simulator it is not known
+        plant = model.plant
+        if not ca.depends_on(ca.jacobian(plant.dynamics, plant.w), plant.w):
+            return []
     some = np.unique(np.linspace(0, fit.samples - 1, min(64, fit.samples)).round().astype(int))
     usual = np.median(fit.size)
     sizes = np.logspace(-12, 12, 97)  # in whatever unit; the least that moves states as far as errors do is taken

@@ -92,7 +92,7 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False) -> Residuals:
         If every run diverged, others have gaps, or the log is not of such a plant, or of a design outside the
         model's box.
     """
-    as_model("model", model)
+    model = as_model("model", model)
     as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
     sizes = (log.states.shape[2], log.inputs.shape[2])
     if sizes != (model.nx, model.nu):

@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model, as_model
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.tolerances import RANK
 from ccdtools_ground.door import as_floats
@@ -47,7 +49,7 @@ class Transport(Immutable):
     @classmethod
     def at(cls, model: Model, p: ArrayLike, scale: ArrayLike) -> Transport:
         """Split at a design (np,); `scale` (nx,) is each state's extent."""
-        as_model("model", model)
+        model = as_model("model", model)
         scale = as_extent(scale, model.nx)
         E = model.matrices(p)[2]
         scaled, lengths = _columns_of_length_one(E / scale[:, None])
@@ -86,7 +88,7 @@ class ErrorSplit(Immutable):
     scale: ArrayField
 
     def __post_init__(self) -> None:
-        as_model("model", self.model)
+        object.__setattr__(self, "model", as_model("model", self.model))
         object.__setattr__(self, "scale", as_extent(self.scale, self.model.nx))
 
     def __repr__(self) -> str:
@@ -99,9 +101,9 @@ class ErrorSplit(Immutable):
 
     def disturbances(self, log: Residuals) -> Array:
         """Disturbances (ŵ, r) of all logged errors, (n, T, nw + nx)."""
-        if isinstance(self.model, SampledModel):
-            return self._nonlinear(self.model, log)
-        return np.concatenate(Transport.at(self.model, log.p, self.scale).split(log.e_next), axis=-1)
+        if isinstance(self.model, LinearModel):
+            return np.concatenate(Transport.at(self.model, log.p, self.scale).split(log.e_next), axis=-1)
+        return self._nonlinear(self.model, log)
 
     def share_of_the_rest(self, logs: Sequence[Residuals]) -> float:
         """Share of the rest r in the scaled errors' energy; 0 without errors."""
@@ -113,7 +115,7 @@ class ErrorSplit(Immutable):
         """Rest r (n, T, nx) of all logged errors."""
         return self.disturbances(log)[..., self.model.nw :]
 
-    def _nonlinear(self, model: SampledModel, log: Residuals) -> Array:
+    def _nonlinear(self, model: SampledModel | SimulatedModel, log: Residuals) -> Array:
         """Split of a nonlinear model's logged next states f(x, u, ŵ, p) + r."""
         from ccdtools.twin.met_disturbances import met_disturbances  # imports torch, which a study need not wait for
 
@@ -127,7 +129,7 @@ def carried(model: Model, log: Residuals, p: ArrayLike, scale: ArrayLike) -> Res
 
     E(q) ŵ + r of a linear model, f(x, u, ŵ, q) + r − f(x, u, 0, q) of another.
     """
-    if not isinstance(model, SampledModel):
+    if isinstance(model, LinearModel):
         return log.carried(Transport.at(model, log.p, scale).matrix(model.matrices(p)[2]))
     q = model.design.check_one(p)
     if np.array_equal(q, log.p):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
@@ -30,6 +31,8 @@ class DigitalTwin(Immutable):
 
     Parameters
     ----------
+    model : LinearModel, SampledModel, or a simulator
+        Of a simulator, slopes are differences whose steps are parts of what the first log reaches.
     scale : (nx,) array, optional
         Extent of each state, such as half the width of X, by which the errors are split into what enters through E(p)
         and the rest. The largest |x| of the first log by default.
@@ -48,7 +51,7 @@ class DigitalTwin(Immutable):
     blocks: int = BLOCKS
 
     def __post_init__(self) -> None:
-        as_model("model", self.model)
+        object.__setattr__(self, "model", as_model("model", self.model))
         if not isinstance(self.logs, tuple | list) or not all(isinstance(log, Residuals) for log in self.logs):
             raise InputError("logs", shown(self.logs), "a tuple of Residuals")
         object.__setattr__(self, "logs", tuple(self.logs))
@@ -127,7 +130,12 @@ class DigitalTwin(Immutable):
         logs = (*self.logs, residuals(self.model, log))
         extent = np.abs(logs[0].x).max(axis=(0, 1))
         scale = np.where(extent > 0, extent, 1.0) if self.scale is None else self.scale
-        return replace(self, logs=logs, scale=scale)
+        model = self.model
+        if isinstance(model, SimulatedModel) and model.extent is None:
+            largest = [np.abs(part).max(axis=(0, 1)) for part in (log.inputs, log.disturbances)]
+            entering = np.concatenate(largest)
+            model = replace(model, extent=np.concatenate([scale, np.where(entering > 0, entering, 1.0)]))
+        return replace(self, model=model, logs=logs, scale=scale)
 
     @property
     def transport(self) -> Transport:

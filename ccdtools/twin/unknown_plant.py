@@ -19,6 +19,7 @@ from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.symbols import elements
 from ccdtools.twin.transport import Transport
 from ccdtools_ground.door import as_instance, shown
@@ -132,6 +133,9 @@ def changed_plant(problem: CoDesignProblem, p: Array) -> UnknownPlant:
     of X and U.
     """
     model, box, scale = problem.model, problem.design, problem.state_scale
+    if isinstance(model, SimulatedModel):
+        expected = "a model by discretise(plant)"
+        raise InputError("problem.model", repr(model), expected, "Pass plant=, with what is unknown.")
     A, B, _ = model.matrices(p)
     span = np.concatenate([scale, np.abs(problem.input_bounds).max(axis=0), [1.0]])
     through = Transport.at(model, p, scale).inverse @ np.hstack([A - np.eye(model.nx), B])

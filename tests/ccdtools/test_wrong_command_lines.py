@@ -72,7 +72,7 @@ WRONG = [
     (["sweep", "broken.toml"], "file: got broken.toml: Invalid value (at line 1"),
     (["sweep", "no.toml"], 'file: got no study, expected a line such as study = "suspension"'),
     (["sweep", "key.toml"], "file: got the key 'sede', expected one of study, generations, seed,"),
-    (["sweep", "twice.toml"], "file: got values that repeat, expected different ones of every option"),
+    (["sweep", "twice.toml"], "file: got seed = 0, 0, expected values that do not repeat"),
     (["sweep", "none.toml"], "file: got seed = [], expected at least one value"),
     (["sweep", "value.toml"], "--preset: got 'fast', expected one of default, paper"),
     (["sweep", "kind.toml"], "--seed: got 'zero'"),

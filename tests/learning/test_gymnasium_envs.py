@@ -1,11 +1,13 @@
 """Environments of Gymnasium: their experience as they give it, training with defaults, and what is refused."""
 
+import os
+
 import numpy as np
 import pytest
 import torch
 
 from learning import ActorCritic, Collector, GymnasiumEnvs, train
-from learning.exceptions import CheckpointError, InputError
+from learning.exceptions import CheckpointError, InputError, SimulatorError
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -153,7 +155,6 @@ def test_what_no_policy_can_be_trained_in_is_refused(name):
 
 
 FAILING = {
-    "a reward beyond single precision": (lambda o, r, *rest: (o, 1e39, *rest), "rewards .* single precision"),
     "a list of rewards": (lambda o, r, *rest: (o, [r], *rest), "finite rewards"),
     "a reward that is no number": (lambda o, r, *rest: (o, float("nan"), *rest), "finite rewards"),
     "another shape": (lambda o, *rest: (o[:2], *rest), "shape"),
@@ -167,9 +168,68 @@ FAILING = {
 def test_an_environment_that_breaks_its_word_is_named(name):
     change, message = FAILING[name]
     env = GymnasiumEnvs(changed(step=stepping(change, after=30)))
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(SimulatorError, match=message) as caught:
         Collector(env, env.agent(), generator=generator()).rollout(40)
     assert caught.value.argument == "env"
+    assert "from environment 0" in caught.value.got
+    assert caught.value.step == 10  # of the first environment twenty more were tried before
+
+
+def test_a_reward_beyond_single_precision_is_refused():
+    env = GymnasiumEnvs(changed(step=stepping(lambda o, r, *rest: (o, 1e39, *rest), after=30)))
+    with pytest.raises(InputError, match=r"env: got the rewards .* at step 10 of a rollout, .* single precision"):
+        Collector(env, env.agent(), generator=generator()).rollout(40)
+
+
+def test_an_environment_that_dies_in_a_training_is_named_with_its_step():
+    def dying(env):
+        step, taken = env.step, iter(range(40 if next(made) == 2 else 10**6))
+
+        def stepped(action):
+            if next(taken, None) is None:
+                raise RuntimeError("licence lost")
+            return step(action)
+
+        return stepped
+
+    made = iter(range(3))
+    env = GymnasiumEnvs(changed(step=dying), runs=3)
+    with pytest.raises(SimulatorError, match=r"RuntimeError: licence lost from environment 2, .* at step 40 of"):
+        train(env, env.agent(), iterations=9, steps=16, generator=generator())
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(("end", "fault"), [("while True: pass", "does not come back"),
+                                            ("os._exit(3)", "ends its process by code 3")])  # fmt: skip
+def test_an_environment_that_hangs_or_takes_its_process_with_it_is_named(tmp_path, end, fault):
+    def ending(env):
+        step, taken = env.step, iter(range(30))
+
+        def stepped(action):
+            if next(taken, None) is None:
+                exec(end, {"os": os})
+            return step(action)
+
+        return stepped
+
+    env = GymnasiumEnvs(changed(step=ending), runs=1, step_limit=5.0)
+    with pytest.raises(SimulatorError, match=f"{fault} .*from environment 0, .* within 5 s.* at step 10 of"):
+        train(env, env.agent(), iterations=9, steps=16, generator=generator())
+
+
+@pytest.mark.check
+def test_an_environment_in_a_process_of_its_own_is_the_same_and_is_kept(tmp_path):
+    def trained(iterations, **options):
+        env = GymnasiumEnvs("Pendulum-v1", runs=1, **options)
+        return train(
+            env, env.agent(), iterations=iterations, steps=16, generator=generator(), checkpoint=tmp_path / "a"
+        )
+
+    trained(1, step_limit=20.0)
+    apart = trained(2, step_limit=20.0)
+    (tmp_path / "a").unlink()
+    for own, here in zip(apart.agent.parameters(), trained(2).agent.parameters()):
+        assert torch.equal(own, here)
 
 
 def test_an_agent_of_other_actions_is_refused():

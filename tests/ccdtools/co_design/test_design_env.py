@@ -42,7 +42,8 @@ def test_the_checker_of_gymnasium_has_nothing_to_say(illustrative, suspension, d
         env = DesignEnv(problem, None if drawn else problem.design.centre)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            check_env(env, skip_render_check=True)
+            check_env(env)
+        assert env.spec.make().observation_space == env.observation_space
 
 
 @pytest.mark.parametrize("drawn", [True, False])

@@ -27,6 +27,8 @@ from ccdtools.co_design import EpisodeEnv
 from ccdtools.plants import BlackBox, from_gymnasium
 from learning import NetworkConfig
 
+RNG = np.random.default_rng(4)
+
 
 def hidden(problem, asked=None, noise=0.0):
     """The same problem behind a simulator, which keeps the designs that it is asked for."""
@@ -158,6 +160,7 @@ def test_what_no_state_changes_is_designed_without_a_step_for_its_slope():
 
 @pytest.mark.parametrize(("change", "match"), [
     ({"advance": lambda x, u, w, p: x + 1.0}, "model: got a plant that does not rest"),
+    ({"advance": lambda x, u, w, p: x + RNG.normal(0, 0.01, x.shape)}, "model: got a simulator whose steps from one"),
     ({"advance": lambda x, u, w, p: np.where(np.abs(x) > 0, np.nan, x)}, "design: got a design at which a step beside"),
     ({"scenarios": FixedStart([0.5, 0.0], Gaussian([0.01, 0.01]))}, "scenarios: got disturbances of shape"),
     ({"X": ([-1, -1, -1], [1, 1, 1])}, r"X\[0\]: got shape"),

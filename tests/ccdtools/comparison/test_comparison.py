@@ -23,7 +23,8 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
-from ccdtools.controllers import Passive
+from ccdtools.controllers import History, Observed, Passive
+from ccdtools.estimation import KalmanFilter
 from invariant_sets import Polytope
 from learning import ActorCritic, NetworkConfig
 from mpc import LinearMPC
@@ -344,5 +345,29 @@ def test_the_exported_law_is_timed_where_there_is_one():
     assert table["learned"].c_step_time > 0
     assert table.rows()[1]["c_step_time_us"] == 1e6 * table["learned"].c_step_time
     assert np.isnan(compare(laws, scenario, **given)["learned"].c_step_time)
+    made = {name: lambda design, rng, law=law: law for name, law in laws.items()}
+    several = experiment(made, scenario, **given, seeds=2, compiled=True)
+    assert several["learned"].c_step_time == np.median([one.c_step_time for one in several.records][1::2]) > 0
+    assert "in C" in repr(several)
+    assert "n/a" in repr(several)
+    assert "in C" not in repr(experiment(made, scenario, **given, seeds=1))
     with pytest.raises(InputError, match="compiled: got 2"):
         compare(laws, scenario, **given, compiled=2)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_a_law_with_a_memory_or_a_filter_is_timed_by_its_step_of_outputs():
+    plant = plant_from_matrices([[1.0, 0.1], [-0.2, 0.95]], [[0.0], [0.1]], dt=0.1, continuous=False)
+    of_states, of_history = (
+        LearnedPolicy(ActorCritic([-9] * n, [9] * n, [-1], [1], config=NetworkConfig((8,)), imitates=True), [])
+        for n in (2, 6)
+    )
+    estimator = KalmanFilter([[1.0, 0.1], [-0.2, 0.95]], [[0.0], [0.1]], [[1.0, 0.0]], 0.01 * np.eye(2), [[0.01]])
+    laws = {"history": History(of_history, 3), "filter": Observed(of_states, estimator)}
+    laws["linear"] = Observed(LinearFeedback([[0.4, 0.3]]), estimator)  # which has no C
+    scenario = Scenario(plant, np.ones((3, 2)), np.zeros((3, 7, 0)), output=[[1.0, 0.0]])
+    given = {"objective": QuadraticObjective(np.eye(2), [[0.1]]), "X": ([-9, -9], [9, 9]), "baseline": "linear"}
+    table = compare(laws, scenario, **given, compiled=True)
+    assert table["history"].c_step_time > 0
+    assert table["filter"].c_step_time > 0
+    assert np.isnan(table["linear"].c_step_time)

@@ -63,6 +63,28 @@ def test_a_row_for_each_run_of_each_seed():
     }
 
 
+def test_the_table_has_the_interval_of_the_share_of_runs_that_are_better():
+    result = found()
+    cell = result["learned"]
+    low, high = cell.better.ci95
+    assert 0.0 <= low <= cell.better.mean <= high <= 1.0
+    assert f" {100 * cell.better.mean:.0f} % [{100 * low:.0f}, {100 * high:.0f}] " in repr(result)
+
+
+def test_the_figure_says_what_was_not_made_and_hides_no_curve():
+    def refused(design, rng):
+        raise InputError("gains", "none", "a stable loop")
+
+    gains, profile, _ = found(LAWS | {"same": LAWS["LQR"], "PID": refused}).plot().axes
+    (low, high), rows = gains.get_ylim(), gains.get_yticks()
+    assert high < rows.min() < rows.max() < low
+    assert [text.get_text() for text in gains.texts] == ["not made"]
+    assert gains.texts[0].get_position()[1] == rows[2]
+    shown = {line.get_label(): line.get_linestyle() for line in profile.lines}
+    assert list(shown) == ["LQR", "learned", "same", "PID: not made"]
+    assert shown["LQR"] == "-" != shown["same"]
+
+
 def test_returns_are_those_of_the_loop_by_hand_and_gains_are_in_pairs():
     scenario = drawn(np.random.default_rng(5))
     cell = found({"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}, scenario, seeds=1)["weak"]

@@ -400,7 +400,11 @@ def test_what_is_no_policy_in_onnx_is_refused(tmp_path):
         return path
 
     for path, message in (
-        (saved("Unknown", ["x"], ["n", 2], "of.mine"), "expected an ONNX model that onnxruntime can run"),
+        (
+            saved("Unknown", ["x"], ["n", 2], "of.mine"),
+            "got .*of.mine:Unknown.*expected an ONNX model that onnxruntime can run",
+        ),
+        (saved("Unheard", ["x"], ["n", 2]), "No Op registered for Unheard"),
         (saved("Add", ["x", "y"], ["n", 2]), "expected one input"),
         (saved("Tanh", ["x"], ["n", 2, 3]), "expected one input"),
         (saved("Tanh", ["x"], [4, 2]), "expected one input .*, n free or 1"),

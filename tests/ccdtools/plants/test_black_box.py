@@ -180,7 +180,9 @@ def test_within_its_time_a_simulator_does_what_it_does_without_a_limit_and_so_do
 
 def test_a_simulator_that_hangs_is_named_with_where_it_stood_and_works_again():
     plant = box(advance=lambda x, u, w, p: hanging(x, u, w, p) if x[0] > 0.9 else 0.5 * x, step_limit=0.3)
-    expected = r"a simulator that does not come back at x = \[1.0, 0.0\], u = \[-0.4\], .*x⁺ within 0.3 s. .* step 0"
+    expected = (
+        r"a simulator that does not come back at x = \[1.0, 0.0\], u = \[-0.4\], .*an answer within 0.3 s. .* step 0"
+    )
     with pytest.raises(SimulatorError, match=expected) as caught:
         simulate(plant, LinearFeedback([[0.4, 0.3]]), x0=[1, 0], steps=40)
     assert caught.value.kept is None
@@ -275,8 +277,14 @@ def test_what_cannot_be_an_environment_is_refused():
     with pytest.raises(InputError, match=r"env, write: got .* after one step from one state"):
         pendulum(write=lambda env, x: None)
     gymnasium = pytest.importorskip("gymnasium")
-    with pytest.raises(InputError, match=r"env: got .*box of actions"):
+    with pytest.raises(InputError, match=r"env: got an environment with the actions Discrete\(2\), .*box of actions"):
         from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
+    for missing in ("read", "write"):
+        with pytest.raises(InputError, match=f"{missing}: got nothing, .*whose state cannot be written is no plant"):
+            pendulum(**{missing: None})
+    assert pendulum(dt=None).dt == gymnasium.make("Pendulum-v1").unwrapped.dt
+    with pytest.raises(InputError, match="dt: got nothing"):
+        from_gymnasium(gymnasium.make("MountainCarContinuous-v0"), read=lambda env: env.state, write=write)
 
 
 @pytest.mark.parametrize("read", [

@@ -165,5 +165,9 @@ def test_files_that_are_no_such_fmu_are_refused(tmp_path):
     with pytest.raises(InputError, match="co-simulation alone"):
         from_fmu(other, dt=0.1)
     without = packed(tmp_path, binary=False)
-    with pytest.raises(InputError, match="does not load"):
+    with pytest.raises(InputError, match=f"does not load.*expected one with a binary for {fmpy.platform}; it has none"):
+        from_fmu(without, dt=0.1)
+    with zipfile.ZipFile(without, "a") as archive:
+        archive.writestr("binaries/win32/pendulum.dll", "of another platform")
+    with pytest.raises(InputError, match=f"does not load.*a binary for {fmpy.platform}; it has win32"):
         from_fmu(without, dt=0.1)

@@ -6,13 +6,12 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from ccdtools.arrays import Array
-from ccdtools.exceptions import InputError, SimulatorError
 from ccdtools_ground.door import brief, shown
+from ccdtools_ground.errors import InputError, SimulatorError
 
 
 class OwnProcess:
@@ -26,6 +25,8 @@ class OwnProcess:
         It goes to the process with what it refers to.
     limit : float
         Time of a call [s].
+    names : sequence of str
+        Of what it is given, the last ones.
 
     Raises
     ------
@@ -35,12 +36,13 @@ class OwnProcess:
         If a call takes longer than the limit, or ends the process.
     """
 
-    def __init__(self, function: Callable[..., Any], limit: float) -> None:
+    def __init__(self, function: Callable[..., Any], limit: float, names: Sequence[str] = "xuwp") -> None:
         self.function = function
         self.limit = limit
+        self.names = names
         self._running: Any = None  # process and pipe
 
-    def __call__(self, *given: Array) -> Any:
+    def __call__(self, *given: Any) -> Any:
         """Value of the function."""
         if self._running is None:
             self._running = self._begun()
@@ -59,8 +61,8 @@ class OwnProcess:
             raise
         if found is None:
             self._end()
-            at = ", ".join(f"{name} = {shown(value)}" for name, value in zip("xuwp"[-len(given) :], given))
-            raise SimulatorError("advance", f"a simulator that {fault} at {at}", f"x⁺ within {self.limit:g} s")
+            at = ", ".join(f"{name} = {shown(value)}" for name, value in zip(self.names[-len(given) :], given))
+            raise SimulatorError("advance", f"a simulator that {fault} at {at}", f"an answer within {self.limit:g} s")
         value, error = found
         if error is not None:
             raise error
