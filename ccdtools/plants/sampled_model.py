@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import InputError
+from ccdtools.plants.budgets import PART_BY_COLLOCATION
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.compiled_step import CompiledStep, can_be_compiled
 from ccdtools.plants.design_space import DesignSpace
@@ -94,6 +95,13 @@ class SampledModel(Immutable, DiscreteModel):
     def design(self) -> DesignSpace:
         """Box of designs."""
         return self.plant.design
+
+    @property
+    def parts(self) -> int:
+        """Runge–Kutta parts that take as long as a sample."""
+        return (
+            self.substeps * (PART_BY_COLLOCATION if self.method == "collocation" else 1) if self.plant.continuous else 1
+        )
 
     @cached_property
     def advance(self) -> Callable[..., Any]:
