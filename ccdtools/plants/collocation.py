@@ -17,9 +17,9 @@ from ccdtools.plants.tolerances import CLOSE, CONVERGED, STAGES, STALLED
 class ImplicitStep:
     """Implicit step (x, u, w, p) → x⁺ by collocation, for all runs at once.
 
-    Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` parts. They grow along the sample, as fast states settle
-    at its start, where the held input jumps. A run for which Newton's method does not converge gets NaN. `scale` (nx,) is
-    the extent of each state, for tolerances. Single precision is stepped in double.
+    Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` parts. They grow along the sample, as fast states
+    settle at its start, where the held input jumps. A run for which Newton's method does not converge gets NaN. `scale`
+    (nx,) is the extent of each state, for tolerances. Single precision is stepped in double.
 
     References
     ----------

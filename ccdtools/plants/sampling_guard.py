@@ -91,7 +91,7 @@ def warn_of_growth(plant: Plant, dt: float, *, stable: float = 2.7) -> None:
     if fastest * dt > stable * plant.substeps:
         warnings.warn(
             f"the plant has a time constant of {1 / fastest:.2g} s, which {plant.substeps} Runge–Kutta parts of "
-            f"dt = {dt:g} s do not follow: steps grow. Pass X, U and W, by which the parts are chosen, or give the plant "
+            f"dt = {dt:g} s do not follow: steps grow. Pass X, U and W, by which parts are chosen, or give the plant "
             f"substeps={math.ceil(fastest * dt / stable)}.", SamplingWarning, stacklevel=3)  # fmt: skip
 
 
