@@ -62,10 +62,11 @@ class Settling:
         at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
         notes = (*result.notes, *self.problem.notes)
+        priced = result.limits is not None
         result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
         unforeseen = self._unforeseen(result, loop)
         if result.status is not CoDesignStatus.INFEASIBLE:
-            result = _unless_broken(result, loop)
+            result = _unless_broken(result, loop, priced=priced)
         if result.status.settled:
             result = replace(result, baselines=tuple(self._baselines(result, loop)))
             if any(map(_better, result.baselines)):
@@ -332,16 +333,21 @@ class Settling:
         return isinstance(problem.risk, Mean) and known and not plain
 
 
-def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
+def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns, *, priced: bool) -> CoDesignResult:
     """Result, with another status if its closed loop was lost or left the limits."""
     if loop.lost.any():
         return replace(result, status=CoDesignStatus.DIVERGING)
     if loop.beyond_inputs > LEAST_TOLERANCE:
-        beyond = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
-        return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, beyond))
-    if result.limits is not None and not result.limits.kept:
-        return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
-    return result
+        cure = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
+    elif result.limits is None or result.limits.kept:
+        return result
+    elif priced:
+        cure = f"{result.method} prices the limits: a larger budget may keep them"
+    else:
+        cure = (
+            f"no closed loop of {result.method} sees the limits: Nested('gain'), Nested('mpc') and learning price them"
+        )
+    return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, cure))
 
 
 def _learned(controller: Any) -> bool:
