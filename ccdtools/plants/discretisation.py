@@ -131,10 +131,10 @@ def _jump_text(plant: Plant, jump: Jump) -> str:
 def _exact(plant: Plant, dt: float) -> LinearModel:
     """Model of a linear plant."""
     A, B, E, constant = linear_matrices(plant)
-    if not plant.continuous:
-        return LinearModel(plant.p, A, B, E, dt, plant.design, constant)
-    A, B, both = zero_order_hold(A, B, ca.horzcat(E, constant), dt, symbols=plant.p, design=plant.design)
-    return LinearModel(plant.p, A, B, both[:, :-1], dt, plant.design, both[:, -1])
+    if plant.continuous:
+        A, B, both = zero_order_hold(A, B, ca.horzcat(E, constant), dt, symbols=plant.p, design=plant.design)
+        E, constant = both[:, :-1], both[:, -1]
+    return LinearModel(plant.p, A, B, E, dt, plant.design, constant, plant.state_names, plant.input_names)
 
 
 def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -95,6 +95,16 @@ class SampledModel(Immutable, DiscreteModel):
     def design(self) -> DesignSpace:
         """Box of designs."""
         return self.plant.design
+
+    @property
+    def state_names(self) -> Sequence[str]:
+        """Names of the plant's states."""
+        return self.plant.state_names
+
+    @property
+    def input_names(self) -> Sequence[str]:
+        """Names of the plant's inputs."""
+        return self.plant.input_names
 
     @property
     def parts(self) -> int:
