@@ -94,8 +94,8 @@ class Settling:
         assert first.closed_loop is not None
         assert further.closed_loop is not None
         before, after = first.closed_loop, further.closed_loop
-        both = np.arange(min(len(before.values), len(after.values)))
-        gain = difference_of_parts(self.problem.risk, after.parts(both) - before.parts(both), both)
+        pairs = np.arange(min(len(before.values), len(after.values)))
+        gain = difference_of_parts(self.problem.risk, after.parts(pairs) - before.parts(pairs), pairs)
         named = self._in_parts(f"{further.method}, begun after it", further.design, gain, before)
         worse = further.status in (CoDesignStatus.DIVERGING, CoDesignStatus.LIMITS_BROKEN)
         settles = further.status.settled and not first.status.settled and named.gain.ci95[0] > -NOT_WORSE
@@ -105,7 +105,9 @@ class Settling:
         gained = f"{100 * named.gain.mean:.2f} % [{low:.2f}, {high:.2f}]"
         did = "gained" if named.gain.ci95[0] > 0 else "settled beside it,"
         note = f"{first.method} ended with {first.status.value}; {further.method} went on and {did} {gained}"
-        further = replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
+        both = first.method if first.method == further.method else f"{first.method}, then {further.method}"
+        count = first.evaluations + further.evaluations
+        further = replace(further, method=both, notes=(*further.notes, note), evaluations=count)
         if isinstance(first, LearnedCoDesign) and isinstance(further, LearnedCoDesign):
             gains = {part: gain + first.gains.get(part, 0.0) for part, gain in further.gains.items()}
             further = replace(further, gains=gains)
@@ -300,7 +302,7 @@ class Settling:
 
     def confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result with the status that gradient and search leave its policy."""
-        if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
+        if isinstance(result, LearnedCoDesign) and "pathwise" in result.method.rpartition(", then ")[2]:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
             wrong = astray(check)
