@@ -24,17 +24,8 @@ from nonlinear_plants import (
 )
 from scipy.integrate import solve_ivp
 
-from ccdtools import (
-    DesignSpace,
-    Gaussian,
-    InputError,
-    LinearFeedback,
-    Plant,
-    SamplingWarning,
-    discretise,
-    equilibrium,
-    simulate,
-)
+from ccdtools import DesignSpace, Gaussian, InputError, LinearFeedback, Plant, discretise, equilibrium, simulate
+from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants import SampledModel, deviations
 
 SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
