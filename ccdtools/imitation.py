@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
@@ -42,6 +42,8 @@ class Imitation:
         where it loses a run that the expert does not.
     expert : float
         Mean return of the expert on them.
+    left_out : (int, int)
+        Runs that were lost and that no round was fitted to, of how many.
     """
 
     controller: Controller
@@ -49,9 +51,12 @@ class Imitation:
     samples: tuple[int, ...]
     returns: tuple[float, ...]
     expert: float
+    left_out: tuple[int, int] = (0, 0)
 
     def __repr__(self) -> str:
         returns = f"return {max(self.returns):.5g}, expert {self.expert:.5g}"
+        if self.left_out[0]:
+            returns += ", {} of {} runs lost and left out".format(*self.left_out)
         return f"Imitation({returns}, {len(self.returns)} rounds, {self.controller!r})"
 
 
@@ -122,11 +127,14 @@ def imitate(
     if own.diverged.all():
         raise InputError("expert", *LOST)
     data: list[tuple[Array, Array, Array]] = []
+    lost: list[NDArray[np.bool_]] = []
     found: list[tuple[float, Controller, ActorCritic]] = []
     acting = expert
     for _ in range(as_count("rounds", rounds)):
         runs = _drawn(scenario, rng, length)
-        data.append(_labelled(expert, runs, _run(runs, acting, p, limit), objective, length, gamma))
+        met = _run(runs, acting, p, limit)
+        lost.append(met.diverged)
+        data.append(_labelled(expert, runs, met, objective, length, gamma))
         seen, actions, values = (np.concatenate(part) for part in zip(*data))
         if not len(seen):
             raise InputError("expert", *LOST)
@@ -141,7 +149,9 @@ def imitate(
     _, controller, agent = max(found, key=lambda one: one[0])
     counts = np.cumsum([len(part[0]) for part in data])
     kept = own.returns(objective)[~own.diverged]
-    return Imitation(controller, agent, tuple(map(int, counts)), tuple(one[0] for one in found), float(kept.mean()))
+    left_out = int(np.concatenate(lost).sum()), sum(map(len, lost))
+    returns = tuple(one[0] for one in found)
+    return Imitation(controller, agent, tuple(map(int, counts)), returns, float(kept.mean()), left_out)
 
 
 def _as_limits(limits: Any, nu: int) -> tuple[Array, Array]:

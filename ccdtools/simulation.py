@@ -108,7 +108,7 @@ def _run(
     diverged_at = np.full(n, -1)
     states[:, 0] = x
     running, whole = diverged_at < 0, True
-    own = getattr(plant, "plant", plant)  # of a model, the plant that it was made of
+    own = getattr(plant, "model", plant)  # of a plant of a model, that
     names = (*getattr(own, "state_names", ()), *getattr(own, "input_names", ()))
     names = names if len(names) == plant.nx + plant.nu else ()
 

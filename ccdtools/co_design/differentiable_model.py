@@ -349,9 +349,10 @@ def episode_at(
     return episode(problem, agent, to_design(problem, v), scenarios, depths=depths)
 
 
-def fewer_runs(runs: int, steps: int) -> int:
-    """Number of `steps`-step episodes with about the samples of `runs` of 100.
+def fewer_runs(runs: int, steps: int, model: Model | None = None) -> int:
+    """Number of `steps`-step episodes that take about as long as `runs` of 100.
 
-    It is at least 16 of `runs`.
+    Of a model, samples of more than 32 Runge–Kutta parts count as many steps. It is at least 16 of `runs`.
     """
-    return max(min(runs, 16), min(runs, math.ceil(runs * 100 / steps)))  # at least 16 episodes
+    longer = steps * max(1.0, getattr(model, "parts", 0) / 32)
+    return max(min(runs, 16), min(runs, math.ceil(runs * 100 / longer)))  # at least 16 episodes

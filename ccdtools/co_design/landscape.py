@@ -47,7 +47,9 @@ class Landscape:
     def __init__(self, problem: CoDesignProblem, rng: np.random.Generator, *, runs: int = RUNS) -> None:
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
         as_generator("rng", rng)
-        self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
+        self._x0, self._w = scenario_tensors(
+            problem, fewer_runs(as_count("runs", runs), problem.steps, problem.model), rng
+        )
 
     def returns(self, points: ArrayLike) -> Array:
         """Mean returns (n,) at points (n, np); −inf without an LQR.

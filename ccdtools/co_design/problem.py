@@ -421,7 +421,7 @@ class CoDesignProblem(Immutable):
 
     def _names(self, which: str, letter: str, size: int) -> tuple[str, ...]:
         """Names of the plant, or a letter with numbers."""
-        return getattr(getattr(self.model, "plant", None), which, None) or as_names(which, (), size, letter)
+        return getattr(self.model, which, None) or as_names(which, (), size, letter)
 
     @property
     def limit(self) -> Array:

@@ -49,9 +49,7 @@ class CoDesignStatus(Outcome):
         'model is not that of the return. Where the plant jumps or the policy saturates, take "ppo" or "search".',
     )
     DIVERGING = "runs diverge", "Check x0 and U: with this design and policy some runs cannot be recovered."
-    LIMITS_BROKEN = (
-        "limits broken", "Raise the tolerance of the limits or the budget; where a note names U, clip the inputs to U."
-    )  # fmt: skip
+    LIMITS_BROKEN = "limits broken", "Raise the tolerance of the limits, or do what the note on them says."
     WORSE_THAN_BASELINE = (
         "worse than a baseline",
         "Deploy the named baseline, or start again from it: it is better on the same scenarios and keeps the limits.",

@@ -62,10 +62,11 @@ class Settling:
         at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
         notes = (*result.notes, *self.problem.notes)
+        priced = result.limits is not None
         result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
         unforeseen = self._unforeseen(result, loop)
         if result.status is not CoDesignStatus.INFEASIBLE:
-            result = _unless_broken(result, loop)
+            result = _unless_broken(result, loop, priced=priced)
         if result.status.settled:
             result = replace(result, baselines=tuple(self._baselines(result, loop)))
             if any(map(_better, result.baselines)):
@@ -93,8 +94,8 @@ class Settling:
         assert first.closed_loop is not None
         assert further.closed_loop is not None
         before, after = first.closed_loop, further.closed_loop
-        both = np.arange(min(len(before.values), len(after.values)))
-        gain = difference_of_parts(self.problem.risk, after.parts(both) - before.parts(both), both)
+        pairs = np.arange(min(len(before.values), len(after.values)))
+        gain = difference_of_parts(self.problem.risk, after.parts(pairs) - before.parts(pairs), pairs)
         named = self._in_parts(f"{further.method}, begun after it", further.design, gain, before)
         worse = further.status in (CoDesignStatus.DIVERGING, CoDesignStatus.LIMITS_BROKEN)
         settles = further.status.settled and not first.status.settled and named.gain.ci95[0] > -NOT_WORSE
@@ -104,7 +105,9 @@ class Settling:
         gained = f"{100 * named.gain.mean:.2f} % [{low:.2f}, {high:.2f}]"
         did = "gained" if named.gain.ci95[0] > 0 else "settled beside it,"
         note = f"{first.method} ended with {first.status.value}; {further.method} went on and {did} {gained}"
-        further = replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
+        both = first.method if first.method == further.method else f"{first.method}, then {further.method}"
+        count = first.evaluations + further.evaluations
+        further = replace(further, method=both, notes=(*further.notes, note), evaluations=count)
         if isinstance(first, LearnedCoDesign) and isinstance(further, LearnedCoDesign):
             gains = {part: gain + first.gains.get(part, 0.0) for part, gain in further.gains.items()}
             further = replace(further, gains=gains)
@@ -299,7 +302,7 @@ class Settling:
 
     def confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result with the status that gradient and search leave its policy."""
-        if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
+        if isinstance(result, LearnedCoDesign) and "pathwise" in result.method.rpartition(", then ")[2]:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
             wrong = astray(check)
@@ -332,16 +335,21 @@ class Settling:
         return isinstance(problem.risk, Mean) and known and not plain
 
 
-def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
+def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns, *, priced: bool) -> CoDesignResult:
     """Result, with another status if its closed loop was lost or left the limits."""
     if loop.lost.any():
         return replace(result, status=CoDesignStatus.DIVERGING)
     if loop.beyond_inputs > LEAST_TOLERANCE:
-        beyond = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
-        return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, beyond))
-    if result.limits is not None and not result.limits.kept:
-        return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
-    return result
+        cure = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
+    elif result.limits is None or result.limits.kept:
+        return result
+    elif priced:
+        cure = f"{result.method} prices the limits: a larger budget may keep them"
+    else:
+        cure = (
+            f"no closed loop of {result.method} sees the limits: Nested('gain'), Nested('mpc') and learning price them"
+        )
+    return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, cure))
 
 
 def _learned(controller: Any) -> bool:

@@ -11,9 +11,9 @@ from ccdtools_ground.door import has_method
 
 
 def plot_scores(comparison: Any, ax: Any = None) -> Any:
-    """Plot the mean returns with 95 % intervals, one row per controller.
+    """Plot the baseline's mean return, and the others beside it by paired differences with 95 % intervals.
 
-    One of fewer runs stands at LQR's mean on all runs plus its paired difference; one that always diverged is empty.
+    All meet the same runs, so that these decide, as they do in the table. One that always diverged is empty.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ def plot_scores(comparison: Any, ax: Any = None) -> Any:
         ax = Figure(figsize=(6.0, 0.6 + 0.4 * len(comparison)), layout="constrained").add_subplot()
     has_method("ax", ax, "errorbar", "matplotlib axes, or None for a new figure")
     scores = list(comparison)
-    level = next((score.summary.mean for score in scores if score.controller == REFERENCE), np.nan)
-    most = max(score.runs for score in scores)
-    shown = [(0.0, one.summary) if one.runs == most else (level, one.paired_to_lqr) for one in scores]
-    means = np.array([base + found.mean for base, found in shown])
-    ends = np.array([base + np.array(found.ci95) for base, found in shown])
+    baseline = getattr(comparison, "baseline", REFERENCE)
+    level = next((score.summary.mean for score in scores if score.controller == baseline), np.nan)
+    means = np.array([level + score.paired_to_lqr.mean for score in scores])
+    ends = np.array([np.add(level, score.paired_to_lqr.ci95) for score in scores])
+    ax.axvline(level, color="#444444", lw=0.9)
     rows = np.arange(len(scores))
     ax.errorbar(means, rows, xerr=np.abs(ends.T - means), fmt="o", capsize=3)
     ax.set_yticks(rows, [score.controller for score in scores])
     ax.invert_yaxis()
-    ax.set_xlabel("return (mean and 95 % interval)")
+    ax.set_xlabel(f"return ({baseline}'s mean, and differences in pairs with 95 % intervals)")
     return ax

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -106,6 +107,10 @@ class History(Around):
             As there; or if the controller is no `LearnedPolicy`, or not of histories of this length.
         """
         return self._learned.to_c(folder, name=name, scalar=scalar, history=self.length)
+
+    def to_casadi(self) -> ca.Function:
+        """Mean action of a learned policy as `LearnedPolicy.to_casadi` has it: histories (m (ny + nu),) to u (nu,)."""
+        return self._learned.to_casadi()
 
     def to_onnx(self, path: str | Path) -> Path:
         """Write a learned policy as an ONNX model: histories (n, m (ny + nu)) to u (n, nu).

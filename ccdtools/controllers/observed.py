@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -123,23 +124,32 @@ class Observed(Around):
         policy, known = self._parts()
         return policy.to_c(folder, name=name, scalar=scalar, estimator=known)
 
+    def to_casadi(self) -> ca.Function:
+        """Mean action of a learned policy as `LearnedPolicy.to_casadi` has it: estimates (nx,) to u (nu,)."""
+        return self._learned.to_casadi()
+
     def to_onnx(self, path: str | Path) -> Path:
         """Write a learned policy as an ONNX model: estimates (n, nx) to u (n, nu).
 
         `Observed(OnnxPolicy(path), estimator)` is the controller again. It raises what `LearnedPolicy.to_onnx` raises,
         and an `InputError` if the controller is no `LearnedPolicy`.
         """
-        policy: LearnedPolicy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
-        return policy.to_onnx(path)
+        return self._learned.to_onnx(path)
 
     def save(self, path: str | Path, **notes: str) -> None:
         """Save a learned policy, its filter and notes for `load_policy`; raises as `to_c`."""
         policy, known = self._parts()
         saved_with(policy, path, notes, {"filter": known.to_dict()})
 
+    @property
+    def _learned(self) -> LearnedPolicy:
+        """Policy inside."""
+        policy: LearnedPolicy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
+        return policy
+
     def _parts(self) -> tuple[LearnedPolicy, Filter]:
         """Policy and filter that leave Python."""
-        policy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
+        policy = self._learned
         cure = "The model of another filter stays in Python: save the policy, and put the filter around it again."
         known = as_instance("estimator", self.estimator, Filter, "a KalmanFilter or an ExtendedKalmanFilter", cure)
         if policy.nx != known.nx or policy.nu != known.nu:

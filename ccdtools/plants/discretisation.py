@@ -20,7 +20,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.matrix_exponential import zero_order_hold
 from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.sampled_model import METHODS, SampledModel
-from ccdtools.plants.sampling_guard import warn_of_aliasing
+from ccdtools.plants.sampling_guard import warn_of_aliasing, warn_of_growth
 from ccdtools.plants.tolerances import ACCURACY
 from ccdtools_ground.door import as_choice, as_flag, as_instance, as_positive
 from invariant_sets.system_checks import as_set
@@ -63,7 +63,8 @@ def discretise(
         coordinates, or one number each. X and U that depend on the design, functions of p or those of a problem or
         study (`problem.X`), are taken at every design as they are there.
     sampling_guard : {"warn", "ignore"}
-        Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
+        Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate, or
+        that unmeasured Runge–Kutta steps grow what the plant damps.
     compiled : bool
         Of a nonlinear plant: whether steps of many runs are compiled, which takes some seconds once and makes them many
         times as fast.
@@ -104,6 +105,8 @@ def discretise(
         model = SampledModel(plant, dt)
     elif region is None:
         chosen = "rk4" if method == "auto" else method
+        if chosen == "rk4" and sampling_guard == "warn":
+            warn_of_growth(plant, dt)
         model = SampledModel(plant, dt, chosen, plant.substeps)
     else:
         model = _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region, jump)
@@ -128,10 +131,10 @@ def _jump_text(plant: Plant, jump: Jump) -> str:
 def _exact(plant: Plant, dt: float) -> LinearModel:
     """Model of a linear plant."""
     A, B, E, constant = linear_matrices(plant)
-    if not plant.continuous:
-        return LinearModel(plant.p, A, B, E, dt, plant.design, constant)
-    A, B, both = zero_order_hold(A, B, ca.horzcat(E, constant), dt, symbols=plant.p, design=plant.design)
-    return LinearModel(plant.p, A, B, both[:, :-1], dt, plant.design, both[:, -1])
+    if plant.continuous:
+        A, B, both = zero_order_hold(A, B, ca.horzcat(E, constant), dt, symbols=plant.p, design=plant.design)
+        E, constant = both[:, :-1], both[:, -1]
+    return LinearModel(plant.p, A, B, E, dt, plant.design, constant, plant.state_names, plant.input_names)
 
 
 def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
@@ -195,42 +198,46 @@ def _accurate(
     plant: Plant, dt: float, methods: Any, accuracy: float, region: Region, jump: Jump | None
 ) -> SampledModel:
     """Cheapest of the methods that keeps the accuracy."""
-    best: IntegrationError | None = None
+    best: tuple[float, str, int] = (math.inf, "", 0)
     lost: list[str] = []
     for method in methods:
         parts = 1
-        while parts <= MOST_PARTS:
-            error = _error(plant, dt, method, parts, region)
+        while parts <= MOST_PARTS[method]:
+            error = _error(plant, dt, method, parts, region, enough=accuracy)
             if error.relative <= accuracy:
                 low = parts // 2 if method == "rk4" else parts - 1
-                while parts - low > 1:  # the fewest Runge–Kutta parts that keep the accuracy
+                while parts - low > max(1, parts // 64):  # about the fewest Runge–Kutta parts that keep the accuracy
                     middle = (low + parts) // 2
-                    found = _error(plant, dt, method, middle, region)
+                    found = _error(plant, dt, method, middle, region, enough=accuracy)
                     if found.relative <= accuracy:
                         parts, error = middle, found
                     else:
                         low = middle
                 return SampledModel(plant, dt, method, parts, error, region.extent)
-            best = error if best is None or not error.relative >= best.relative else best
+            best = min(best, (error.relative, method, parts))
             parts *= 2
         if not math.isfinite(error.relative):
             why = "steps grow beyond all numbers" if method == "rk4" else "Newton's method does not converge"
             lost.append(f"{method}: {why} at {_place(plant, error)}")
-    assert best is not None
-    reached = f"{best.relative:.4g} is reached (worst at {_place(plant, best)})"
-    got = f"{accuracy:g}, where {reached if math.isfinite(best.relative) else 'nothing is reached'}"
-    got = "; ".join([got, *lost])
-    cure = "Shorten dt, allow a larger error, or narrow X, U and W to where the plant is smooth."
+    reached = "nothing is reached"
+    cure = "Shorten dt, or narrow X, U and W to where the plant is smooth."
+    if math.isfinite(best[0]):
+        error = _error(plant, dt, *best[1:], region)
+        reached = f"{error.relative:.4g} is reached (worst at {_place(plant, error)})"
+        cure = f"Take accuracy={1.1 * error.relative:.2g}. Or {cure[0].lower()}{cure[1:]}"
+    got = "; ".join([f"{accuracy:g}, where {reached}", *lost])
     if jump is not None:
         got += f"; {_jump_text(plant, jump)}"
         cure = f"{SMOOTHER} Or allow a larger error."
     raise InputError("accuracy", got, "a larger error", cure)
 
 
-def _error(plant: Plant, dt: float, method: str, parts: int, region: Region) -> IntegrationError:
+def _error(
+    plant: Plant, dt: float, method: str, parts: int, region: Region, *, enough: float = math.inf
+) -> IntegrationError:
     """Integration error of a step of `parts` parts."""
     coarse, fine = (SampledModel(plant, dt, method, n, scale=region.extent) for n in (parts, 2 * parts))
-    return measured_error(coarse.advance, fine.advance, region)
+    return measured_error(coarse.advance, fine.advance, region, enough=enough)
 
 
 def _place(plant: Plant, error: IntegrationError) -> str:

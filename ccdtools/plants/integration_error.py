@@ -86,29 +86,33 @@ class IntegrationError(Immutable):
     p: Array
 
 
-def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
+def measured_error(step: Step, finer: Step, region: Region, *, enough: float = np.inf) -> IntegrationError:
     """Largest difference of two steps found over a region.
 
     Parameters
     ----------
     step, finer : callable
         (x, u, w, p) → x⁺ on batches; the second of half the length.
+    enough : float
+        The search ends with a round in which a larger relative error was found.
     """
     rng = np.random.default_rng(0)
     dim = len(region.lower)
     spread = qmc.Sobol(dim, rng=rng).random(ERROR_POINTS)
     corners = np.round(spread[: ERROR_POINTS // 4])
-    points = np.vstack([spread, corners, np.full((1, dim), 0.5)])
+    points = np.vstack([corners, np.full((1, dim), 0.5)])
     known = points[:0]
     values = np.zeros((0, region.sizes[0]))
-    for nearby in (AROUND_WORST**k for k in range(1, 4)):
+    for k in range(4):
         known = np.vstack([known, points])
         values = np.vstack([values, _differences(step, finer, region, points)])
-        worst = known[np.argsort((values / region.extent).max(axis=1))[-16:]]
-        around = rng.choice(worst, ERROR_POINTS // 2)
-        points = np.clip(around + nearby * rng.uniform(-1, 1, around.shape), 0.0, 1.0)
+        relative = (values / region.extent).max(axis=1)
+        if SAFETY * relative.max() > enough:
+            break
+        around = rng.choice(known[np.argsort(relative)[-16:]], ERROR_POINTS // 2)
+        points = np.clip(around + AROUND_WORST**k * rng.uniform(-1, 1, around.shape), 0.0, 1.0) if k else spread
     bound = SAFETY * values.max(axis=0)
-    place = region.parts(known[[int(np.argmax((values / region.extent).max(axis=1)))]])
+    place = region.parts(known[[int(np.argmax(relative))]])
     return IntegrationError(bound, float((bound / region.extent).max()), *(part[0] for part in place))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -16,7 +16,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace, check_finite
 from ccdtools.plants.matrix_exponential import zero_order_hold
 from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_known
-from ccdtools_ground.door import as_array, as_finite, as_floats, as_instance, as_positive, shown
+from ccdtools_ground.door import as_array, as_finite, as_floats, as_instance, as_names, as_positive, shown
 
 
 class DiscreteModel:
@@ -91,6 +91,8 @@ class LinearModel(Symbolic, DiscreteModel):
         The box of designs; None where the model has none.
     c : casadi.SX (nx, 1), optional
         Constant term, such as what gravity adds in a step; none by default.
+    state_names, input_names : sequence of str, optional
+        Those of the plant; x1, x2, … and u1, u2, … by default.
 
     Raises
     ------
@@ -108,6 +110,8 @@ class LinearModel(Symbolic, DiscreteModel):
     dt: float
     design: DesignSpace | None
     c: Any = None
+    state_names: Sequence[str] = ()
+    input_names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         self._set(symbols=as_symbols("symbols", self.symbols))
@@ -124,6 +128,8 @@ class LinearModel(Symbolic, DiscreteModel):
                 raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
         if self.c.shape != (nx, 1):
             raise InputError("c", f"shape {self.c.shape}", f"({nx}, 1), one row per state")
+        self._set(state_names=as_names("state_names", self.state_names, nx, "x"))
+        self._set(input_names=as_names("input_names", self.input_names, self.nu, "u"))
         self._set(dt=as_positive("dt", self.dt, unit="s"))
         if self.design is not None:
             as_instance("design", self.design, DesignSpace, "a DesignSpace or None")

@@ -105,7 +105,8 @@ def _linear(model: LinearModel, steps: int, known: tuple[int, ...]) -> LinearMod
     J = ca.substitute(ca.jacobian(after, z), p, model.symbols)
     A, B, E = ca.horzsplit(J, [0, x.numel(), x.numel() + model.nu, z.numel()])
     c = ca.vertcat(model.c, ca.SX.zeros(x.numel() - model.nx, 1))
-    return LinearModel(model.symbols, A, B, E, model.dt, model.design, c)
+    names = (*model.state_names, *_ahead(steps, known))
+    return LinearModel(model.symbols, A, B, E, model.dt, model.design, c, names, model.input_names)
 
 
 def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> SampledModel:
@@ -142,13 +143,17 @@ def _registered(step: ca.Function, steps: int, known: tuple[int, ...]) -> tuple[
     return x, u, w, p, ca.vertcat(step(x[:nx], u, acting, p), register[len(known) :], w[list(known)])
 
 
+def _ahead(steps: int, known: tuple[int, ...]) -> list[str]:
+    """Names of the disturbances in the register."""
+    return [f"w{channel + 1} in {k} samples" if k else f"w{channel + 1}" for k in range(steps) for channel in known]
+
+
 def _plant(plant: Plant, step: ca.Function, steps: int, known: tuple[int, ...]) -> Plant:
     """Plant of a step with the register."""
     x, u, w, p, after = _registered(step, steps, known)
-    ahead = [f"w{channel + 1} in {k} samples" if k else f"w{channel + 1}" for k in range(steps) for channel in known]
     return Plant(
         x, u, w, p, after, plant.design, plant.dt, continuous=False,
-        state_names=[*plant.state_names, *ahead], input_names=plant.input_names,
+        state_names=[*plant.state_names, *_ahead(steps, known)], input_names=plant.input_names,
         outputs=plant.output(x[: plant.nx], u, p) if plant.ny else (), output_names=plant.output_names,
         output_limits=plant.output_limits if plant.ny else None,
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import InputError
+from ccdtools.plants.budgets import PART_BY_COLLOCATION
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.compiled_step import CompiledStep, can_be_compiled
 from ccdtools.plants.design_space import DesignSpace
@@ -94,6 +95,23 @@ class SampledModel(Immutable, DiscreteModel):
     def design(self) -> DesignSpace:
         """Box of designs."""
         return self.plant.design
+
+    @property
+    def state_names(self) -> Sequence[str]:
+        """Names of the plant's states."""
+        return self.plant.state_names
+
+    @property
+    def input_names(self) -> Sequence[str]:
+        """Names of the plant's inputs."""
+        return self.plant.input_names
+
+    @property
+    def parts(self) -> int:
+        """Runge–Kutta parts that take as long as a sample."""
+        return (
+            self.substeps * (PART_BY_COLLOCATION if self.method == "collocation" else 1) if self.plant.continuous else 1
+        )
 
     @cached_property
     def advance(self) -> Callable[..., Any]:

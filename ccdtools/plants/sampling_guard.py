@@ -62,10 +62,7 @@ def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None)
     if not plant.continuous:
         return ""
     dt = plant.dt if dt is None else dt
-    given = [plant.x, plant.u, plant.w, plant.p]
-    jacobian = ca.Function("A", given, [ca.densify(ca.jacobian(plant.dynamics, plant.x))])
-    state = np.zeros(plant.nx) if x is None else x
-    frequency, design = fastest_mode(lambda p: jacobian(state, 0, 0, p), plant.design, dt)
+    frequency, design = fastest_mode(_rates_at(plant, x), plant.design, dt)
     nyquist = 0.5 / dt
     if frequency < RESOLVED_SHARE * nyquist:
         return ""
@@ -77,6 +74,25 @@ def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None)
         f"dt = {dt:g} s samples at most {nyquist:.3g} Hz, but the plant oscillates at {frequency:.3g} Hz"
         f"{where}: the samples do not show that oscillation as it is. dt = {better:g} s has ten samples of a period"
     )
+
+
+def _rates_at(plant: Plant, x: Array | None) -> Callable[[Array], Any]:
+    """Linearisation of the rates by the states, of a design, at a state or 0."""
+    given = [plant.x, plant.u, plant.w, plant.p]
+    jacobian = ca.Function("A", given, [ca.densify(ca.jacobian(plant.dynamics, plant.x))])
+    return lambda p: jacobian(np.zeros(plant.nx) if x is None else x, 0, 0, p)
+
+
+def warn_of_growth(plant: Plant, dt: float, *, stable: float = 2.7) -> None:
+    """Issue a `SamplingWarning` if Runge–Kutta parts grow what the plant damps at rest."""
+    matrices = [np.asarray(_rates_at(plant, None)(p), dtype=float) for p in plant.design.spread()]
+    modes = np.concatenate([np.linalg.eigvals(A) for A in matrices if np.isfinite(A).all()] or [np.zeros(1)])
+    fastest = float(np.abs(modes[modes.real < 0]).max(initial=0.0))
+    if fastest * dt > stable * plant.substeps:
+        warnings.warn(
+            f"the plant has a time constant of {1 / fastest:.2g} s, which {plant.substeps} Runge–Kutta parts of "
+            f"dt = {dt:g} s do not follow: steps grow. Pass X, U and W, by which parts are chosen, or give the plant "
+            f"substeps={math.ceil(fastest * dt / stable)}.", SamplingWarning, stacklevel=3)  # fmt: skip
 
 
 def warn_of_aliasing(plant: Plant, dt: float, x: Array | None = None) -> None:

@@ -124,6 +124,8 @@ class PlantFit(Immutable):
     unknown : UnknownPlant
     freedom : float
         Degrees of freedom of the intervals.
+    left_out : (int, int)
+        Runs that diverged and are not in the fit, of how many.
     """
 
     names: tuple[str, ...]
@@ -134,11 +136,15 @@ class PlantFit(Immutable):
     innovation_variance: float
     unknown: UnknownPlant
     freedom: float = np.inf
+    left_out: tuple[int, int] = (0, 0)
 
     def __repr__(self) -> str:
         rows = zip(self.names, self.values, self.deviations)
         said = ", ".join(f"{name}={value:.6g}±{deviation:.2g}" for name, value, deviation in rows)
-        return f"PlantFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g})"
+        left_out = ", {} of {} runs left out".format(*self.left_out) if self.left_out[0] else ""
+        return (
+            f"PlantFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g}{left_out})"
+        )
 
     @property
     def deviations(self) -> Array:
@@ -168,7 +174,9 @@ class PlantFit(Immutable):
     @property
     def advice(self) -> str:
         """Advice, with the combinations that stay open."""
-        return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open)])
+        lost = "{} of {} runs diverged and are left out: the fit does not know what they met.".format(*self.left_out)
+        left_out = [lost] if self.left_out[0] else []
+        return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open), *left_out])
 
     def intervals(self, level: float = 0.95) -> Array:
         """Confidence intervals (m, 2), by Student's distribution."""
@@ -275,7 +283,12 @@ def fit_plant(
     else:
         lasting = _lasting([part.normalised(values) for part in found.parts], lags=(1, 2, 4, 8))
     status = FitStatus.LASTING if status is FitStatus.SOLVED and lasting else status
-    return PlantFit(names, values, covariance, status, open_, squares / measured, unknown, freedom)
+    return PlantFit(names, values, covariance, status, open_, squares / measured, unknown, freedom, _left_out(several))
+
+
+def _left_out(logs: list[Any]) -> tuple[int, int]:
+    """Runs that diverged, and all runs."""
+    return sum(int(np.sum(getattr(log, "diverged", 0))) for log in logs), sum(len(log.inputs) for log in logs)
 
 
 def _lasting(

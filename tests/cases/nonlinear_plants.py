@@ -27,6 +27,21 @@ def stiff(dt=0.02):
     return Plant(x, u, w, p, dynamics, DesignSpace(["k"], [0.5], [2.0]), dt)
 
 
+def motor(inductance=1e-3, dt=0.05):
+    """Current, speed and temperature of a geared motor: the first within L/R, the last within seconds."""
+    x, u, w, p = ca.SX.sym("x", 3), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    dynamics = ca.vertcat(*motor_rates(ca.vertsplit(x), [u], [w], ca.vertsplit(p), inductance))
+    return Plant(x, u, w, p, dynamics, DesignSpace(["gear", "cooling"], [1.0, 0.2], [4.0, 2.0]), dt)
+
+
+def motor_rates(x, u, w, p, inductance=1e-3):
+    current, speed, warmth = x
+    resistance = 1 + 0.004 * warmth
+    return [(u[0] - resistance * current - 0.05 * p[0] * speed) / inductance,
+            (0.05 * p[0] * current - 0.02 * speed - 1e-3 * speed**3 + w[0]) / (0.01 + 1e-3 * p[0] ** 2),
+            (0.5 * resistance * current**2 - p[1] * warmth) / 5]  # fmt: skip
+
+
 def stiff_rates(x, u, w, p):
     return np.array([-1e5 * (x[0] - np.cos(x[1])), p[0] * x[0] + u[0] + w[0] - x[1] ** 3])
 

@@ -1,5 +1,7 @@
 """Policies that imitate an expert, from states or from what was measured."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -51,6 +53,19 @@ def test_a_policy_of_the_state_does_what_its_expert_does():
     x = np.random.default_rng(1).normal(0, 0.3, (50, 2))
     assert found.controller(x) == pytest.approx(LQR(x), abs=0.15)
     assert max(found.returns) > 1.02 * found.expert  # negative: at most 2 % below
+
+
+def test_an_imitation_says_how_many_lost_runs_it_was_not_fitted_to():
+    def far(rng):
+        scenario = drawn(rng)
+        return replace(scenario, x0=np.vstack([[[50.0, 0.0]] * 5, scenario.x0[5:]]))
+
+    short = CloningConfig(steps=5)
+    found = imitated(LQR, far, limit=[10.0, 10.0], config=short)
+    assert found.left_out[0] >= 10
+    assert found.left_out[1] == 64
+    assert f"{found.left_out[0]} of 64 runs lost and left out" in repr(found)
+    assert "left out" not in repr(imitated(LQR, config=short))
 
 
 @pytest.mark.check

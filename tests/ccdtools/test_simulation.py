@@ -1,7 +1,7 @@
 """Closing the loop: batches, disturbances, divergence, and clear refusals."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -322,7 +322,8 @@ def test_a_picture_of_runs_has_the_names_of_the_plant_and_of_nothing_else_number
     names = {"state_names": ["height [m]", "speed [m/s]"], "input_names": ["force [N]"]}
     plant = Plant(x, u, None, p, [x[1], u - p * ca.sin(x[0])], DesignSpace(["p"], [1], [2]), dt=0.1, **names)
     law = LinearFeedback([[0.0, 1.0]])
-    for made in (plant, discretise(plant)):
+    linear = replace(plant, dynamics=ca.vertcat(x[1], u - p * x[0]))
+    for made in (plant, discretise(plant), linear, discretise(linear)):
         figure = simulate(made, law, x0=[1.0, 0.0], steps=5, design=[1.5]).plot()
         assert [ax.get_ylabel() for ax in figure.axes] == ["height [m]", "speed [m/s]", "force [N]"]
         assert [ax.lines[0].get_drawstyle() for ax in figure.axes] == ["default", "default", "steps-post"]

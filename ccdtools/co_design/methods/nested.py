@@ -28,6 +28,7 @@ from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.models import for_long_work
 from ccdtools_ground.door import as_choice, as_count, as_instance
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
@@ -69,8 +70,9 @@ class Nested:
         differences). In open loop: the best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes
         exact, by multipliers).
     runs : int, optional
-        Scenarios of 100 steps; of longer ones fewer are taken, except of trajectories. By default 1000 of LQR or
-        a gain, 32 of MPC, 16 of nonlinear MPC, 8 of trajectories, 256 of learning.
+        Scenarios of 100 steps; of longer ones, and of models whose samples have over 32 Runge–Kutta parts, fewer are
+        taken, except of trajectories. By default 1000 of LQR or a gain, 32 of MPC, 16 of nonlinear MPC, 8 of
+        trajectories, 256 of learning.
     starts : int
         Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
     evaluations : int, optional
@@ -124,6 +126,8 @@ class Nested:
         """Best design and its controller, from a feasible one (np,) and other starts."""
         starts = 1 if self.inner == "rl" else self.starts
         most = self.evaluations or (12 if self.inner == "rl" else 100)
+        if fewer_runs(RUNS["lqr"], 100, problem.model) < RUNS["lqr"]:  # of few runs and many parts loops are compiled
+            problem = replace(problem, model=for_long_work(problem.model, most * RUNS["lqr"] * problem.steps))
         search = partial(
             best_design, problem, design=design, rng=rng, name=self.name, evaluations=most, progress=progress
         )
@@ -135,7 +139,7 @@ class Nested:
         self, problem: CoDesignProblem, search: partial[CoDesignResult], rng: np.random.Generator
     ) -> CoDesignResult:
         """Result of the tangent's LQR, or the secant's if asked for or better."""
-        scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
+        scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps, problem.model), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
@@ -170,7 +174,7 @@ class Nested:
 
             given = drawn(problem, runs, rng)
             return lambda v: TrajectoryCost(problem, given, problem.design.settled(v), self.control)
-        scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
+        scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps, problem.model), rng)
         if self.inner == "gain":
             from ccdtools.co_design.methods.gain_cost import gain_cost
 

@@ -63,7 +63,7 @@ class Sequential:
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
         """Plant preferred by the criterion, with its controller, from a design (np,)."""
-        scenarios = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
+        scenarios = scenario_tensors(problem, fewer_runs(RUNS, problem.steps, problem.model), rng)
         criterion = self.criterion
         if criterion == "auto":
             criterion = "passive" if _stands_alone(problem, design, scenarios) else "open_loop"

@@ -17,7 +17,7 @@ def found():
 
 
 def test_ppo_goes_on_where_the_gradient_is_blind(found):
-    assert found.method == "ppo"
+    assert found.method == "pathwise, then ppo"
     said = "\n".join(found.describe())
     assert "pathwise ended with gradient untrusted; ppo went on and gained" in said
 

@@ -16,6 +16,20 @@ CoDesignStatus = type(CoDesignResult(design=np.zeros(1)).status)
 
 
 @dataclass(frozen=True)
+class Named:
+    """Another method under a name of its own."""
+
+    name: str
+    method: object
+
+    def run(self, problem, design, rng, *, progress=False):
+        return replace(self.method.run(problem, design, rng, progress=progress), method=self.name)
+
+    def instead(self, result, problem):
+        return replace(self, name="going on") if result.status is CoDesignStatus.WORSE_THAN_BASELINE else None
+
+
+@dataclass(frozen=True)
 class Staying:
     """Method that hands out LQR where it begins, and has another that goes on."""
 
@@ -39,6 +53,12 @@ def test_behind_a_baseline_the_next_climb_begins_at_its_design():
     assert found.design == pytest.approx(best, rel=0.05)
     assert found.status is CoDesignStatus.CONVERGED
     assert any("staying ended with worse than a baseline; staying went on and gained" in note for note in found.notes)
+
+
+def test_a_result_is_named_by_what_was_asked_for_and_what_went_on():
+    found = codesign(mass(), method=Named("asked", Staying()), design=[2.8], rng=np.random.default_rng(0))
+    assert found.method == "asked, then going on"
+    assert found.describe()[1].startswith("asked, then going on: converged")
 
 
 def bouncing():

@@ -270,7 +270,10 @@ def test_the_picture_shows_each_mean_and_its_interval(table):
     ax = table.plot()
     assert [label.get_text() for label in ax.get_yticklabels()] == ["LQR", "weak", "passive"]
     (container,) = ax.containers
-    np.testing.assert_allclose(container.lines[0].get_xdata(), [score.summary.mean for score in table])
+    means = [score.summary.mean for score in table]
+    np.testing.assert_allclose(container.lines[0].get_xdata(), means)
+    ends = [segment[:, 0] - means[0] for segment in container.lines[2][0].get_segments()]
+    np.testing.assert_allclose(ends, [score.paired_to_lqr.ci95 for score in table], atol=1e-9)
     assert table.plot(ax=ax) is ax
     with pytest.raises(InputError, match="ax: got 3, expected matplotlib axes, or None for a new figure"):
         table.plot(ax=3)

@@ -316,7 +316,7 @@ def test_a_history_of_no_learned_policy_does_not_leave_python(tmp_path):
         (History(LinearFeedback([[1.0, 0.0]]), 1), "controller"), (History(other, 3), "length"),
         (History(other, 2), "length"),
     ):  # fmt: skip
-        for call in (law.to_c, law.to_onnx, law.save):
+        for call in (law.to_c, law.to_onnx, law.save, lambda _, law=law: law.to_casadi()):
             with pytest.raises(InputError) as caught:
                 call(tmp_path / "x")
             assert caught.value.argument == argument
@@ -382,6 +382,14 @@ def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, 
 @pytest.mark.parametrize("law", [of_outputs(), of_estimate()], ids=["history", "filter"])
 def test_an_onnx_model_of_a_memory_is_the_controller_again(tmp_path, rng, law):
     again = replace(law, controller=OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")))
+    _, u = closed_loop(law, np.random.default_rng(1))
+    np.testing.assert_allclose(closed_loop(again, np.random.default_rng(1))[1], u, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("law", [of_outputs(), of_estimate()], ids=["history", "filter"])
+def test_an_expression_of_a_memory_is_the_controller_again(law):
+    function = law.to_casadi()
+    again = replace(law, controller=lambda seen: np.array(function(seen.T)).T)
     _, u = closed_loop(law, np.random.default_rng(1))
     np.testing.assert_allclose(closed_loop(again, np.random.default_rng(1))[1], u, rtol=0, atol=1e-11)
 

@@ -241,3 +241,12 @@ def test_an_objective_and_limits_of_outputs_are_those_of_the_plant_before_the_re
     assert "stage cost" in objective.describe()
     assert ahead.objective.looks_back == objective.looks_back
     assert "register of 3" in repr(ahead.objective)
+
+
+def test_a_model_with_preview_has_the_names_of_its_plant_beside_what_is_known_ahead():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    names = {"state_names": ["height [m]", "speed [m/s]"], "input_names": ["force [N]"]}
+    plant = Plant(x, u, w, p, [x[1], u + p * w], DesignSpace(["p"], [1], [2]), dt=0.1, **names)
+    model = with_preview(discretise(plant), 2)
+    assert model.state_names == ("height [m]", "speed [m/s]", "w1", "w1 in 1 samples")
+    assert model.input_names == ("force [N]",)

@@ -1,20 +1,36 @@
 """Nonlinear plants as discrete models: orders of convergence, promised errors, derivatives, and what is refused."""
 
 import pickle
+import re
+from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import mpmath
 import numpy as np
 import pytest
 import torch
-from nonlinear_plants import GRAVITY, hot_plate, stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
+from nonlinear_plants import (
+    GRAVITY,
+    hot_plate,
+    motor,
+    motor_rates,
+    stiff,
+    stiff_rates,
+    swing,
+    swing_rates,
+    tank_rates,
+    tanks,
+)
 from scipy.integrate import solve_ivp
 
 from ccdtools import DesignSpace, Gaussian, InputError, LinearFeedback, Plant, discretise, equilibrium, simulate
+from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants import SampledModel, deviations
 
 SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
 STIFF = {"X": ([-1.5, -1.5], [1.5, 1.5]), "U": (-1.0, 1.0)}
+MOTOR = {"X": ([-20.0, -20.0, -50.0], [20.0, 20.0, 50.0]), "U": (-10.0, 10.0), "W": (-0.5, 0.5)}
 TANKS = {"X": ([0.05, 0.05], [1.0, 1.0]), "U": (0.0, 1e-3), "W": (-1e-4, 1e-4)}
 
 
@@ -74,6 +90,35 @@ def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_step
     smooth = discretise(swing(), **SWING)
     assert (smooth.method, smooth.substeps) == ("rk4", 7)
     assert discretise(swing(), accuracy=1e-3, **SWING).substeps < smooth.substeps
+
+
+@pytest.mark.parametrize(
+    ("inductance", "method"),
+    [(1e-3, "rk4"), pytest.param(1e-4, "collocation", marks=pytest.mark.check), (1e-5, "collocation")],
+)
+def test_a_motor_is_accurate_by_default_however_fast_its_current_settles(inductance, method):
+    model = discretise(motor(inductance), **MOTOR)
+    assert model.method == method
+    rates = partial(motor_rates, inductance=inductance)
+    for x, u, w, p in zip(*drawn(model, MOTOR, 20, np.random.default_rng(0))):
+        run = solve_ivp(lambda t, y: rates(y, u, w, p), (0, 0.05), x, "Radau", rtol=1e-11, atol=1e-11)  # noqa: B023
+        assert (np.abs(model.advance(x[None], u[None], w[None], p)[0] - run.y[:, -1]) <= model.error.bound + 1e-9).all()
+
+
+@pytest.mark.check
+def test_an_accuracy_that_is_not_reached_is_answered_by_one_that_is():
+    with pytest.raises(InputError, match="is reached") as refused:
+        discretise(motor(), accuracy=1e-10, **MOTOR)
+    advised = float(re.search(r"Take accuracy=([\d.e-]+\d)\.", str(refused.value))[1])
+    assert discretise(motor(), accuracy=advised, **MOTOR).error.relative <= advised
+
+
+def test_without_limits_parts_that_grow_what_the_plant_damps_are_warned_of():
+    with pytest.warns(SamplingWarning, match=r"time constant of 0.001 s, which 10 Runge.*Pass X.*substeps=19") as seen:
+        discretise(motor())
+    assert len(seen) == 1
+    discretise(replace(motor(), substeps=19))
+    discretise(motor(), method="collocation")
 
 
 def test_other_units_of_a_state_change_neither_method_nor_parts():

@@ -177,6 +177,21 @@ def test_logs_of_several_designs_are_one_plant():
     assert abs(both.values[2] + 0.5) < 3.5 * both.deviations[2]
 
 
+@pytest.mark.parametrize("measured", [True, False], ids=["outputs", "states"])
+def test_a_fit_says_how_many_runs_it_leaves_out(measured):
+    problem = stated()
+    log = logged(problem, spring(0.5))
+    problem = problem if measured else replace(problem, measurement=None)
+    diverged_at = np.where(np.arange(RUNS) < 3, 5, -1)
+    fit = fit_plant(problem, [log, replace(log, diverged_at=diverged_at)])
+    assert fit.left_out == (3, 2 * RUNS)
+    assert "3 of 80 runs left out" in repr(fit)
+    assert "3 of 80 runs diverged and are left out" in fit.advice
+    whole = fit_plant(problem, log)
+    assert whole.left_out == (0, RUNS)
+    assert "left out" not in repr(whole) + whole.advice
+
+
 def test_mass_and_gain_of_a_stated_plant_with_an_accelerometer():
     plant = spring(names=("mass", "gain"), accelerometer=True)
     problem = stated(measurement=Measurement(spring(accelerometer=True), noise=[0.05, 0.05]))

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from nonlinear_plants import swing
 
 from ccdtools import InputError, LearnedPolicy, simulate
 from ccdtools.co_design import differentiable_model
 from ccdtools.co_design.differentiable_model import episode, episode_at, fewer_runs, mean_law, scenario_tensors
+from ccdtools.plants import SampledModel
 
 
 def test_the_folded_law_is_the_policy(study, clone):
@@ -104,6 +106,11 @@ def test_depths_are_in_half_widths_and_differentiable(illustrative, clone):
                                                          (128, 5000, 16), (4, 5000, 4)])  # fmt: skip
 def test_longer_episodes_are_fewer(runs, steps, expected):
     assert fewer_runs(runs, steps) == expected
+
+
+def test_episodes_of_samples_of_many_parts_are_fewer():
+    models = [SampledModel(swing(), 0.1, *method) for method in (("rk4", 32), ("rk4", 256), ("collocation", 4))]
+    assert [fewer_runs(1000, 100, model) for model in models] == [1000, 125, 134]
 
 
 def test_a_warm_up_earns_nothing_and_is_where_the_rest_begins(illustrative, clone):

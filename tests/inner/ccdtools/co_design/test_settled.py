@@ -130,8 +130,21 @@ def test_a_claim_falls_where_the_closed_loop_leaves_limits_further_than_was_aske
     assert found.status is CoDesignStatus.LIMITS_BROKEN
     assert found.limits.achieved.depth > 0.02
     assert not found.limits.kept
+    assert "sees the limits" in found.notes[-1]
     free = claimed(replace(tight, limit_tolerance="off"), BEST, gain(problem, BEST))
     assert free.status is CoDesignStatus.CONVERGED
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(
+    ("inner", "said"), [("riccati", "Nested('mpc')"), ("lqr", "prices the limits: a larger budget")]
+)
+def test_what_may_keep_broken_limits_fits_the_method(problem, inner, said):
+    tight = replace(problem, X=([-1.01, -1.2], [1.01, 1.2]), limit_tolerance=(0.0, 0.0))
+    found = codesign(tight, method=Nested(inner, starts=1, runs=50), rng=np.random.default_rng(0))
+    assert found.status is CoDesignStatus.LIMITS_BROKEN
+    assert said in found.notes[-1]
+    assert "budget" not in found.status.advice
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -147,7 +160,7 @@ def test_a_claim_falls_where_inputs_are_asked_for_beyond_the_actuator(problem, s
     most = max(u.max() - high, low - u.min()) / ((high - low) / 2)
     assert unclipped.closed_loop.beyond_inputs == pytest.approx(most, rel=1e-6)
     assert any("beyond U" in note for note in unclipped.notes)
-    assert "clip the inputs" in unclipped.status.advice
+    assert "clip them to U" in unclipped.notes[-1]
     assert claimed(tight, BEST, K).closed_loop.beyond_inputs <= 0
 
 
