@@ -81,4 +81,4 @@ class SimulatorError(InputError):
     kept: object = None
 
     def __str__(self) -> str:
-        return super().__str__() + ("" if self.step is None else f" It was at step {self.step} of a simulation.")
+        return super().__str__() + ("" if self.step is None else f" It was at step {self.step}.")

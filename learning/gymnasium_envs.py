@@ -53,9 +53,15 @@ class GymnasiumEnvs:
         as_count("seed", seed, least=0)
         if step_limit is not None:
             as_positive("step_limit", step_limit, unit="s")
-        self.envs = [_made(make) if step_limit is None else _Apart(make, step_limit) for _ in range(runs)]
         self.seed = seed
         self.taken = 0
+        self.envs: list[Any] = []
+        for i in range(runs):
+            if step_limit is None:
+                self.envs.append(_made(make))
+            else:
+                with self._named(i):
+                    self.envs.append(_Apart(make, step_limit))
         if len({id(env.unwrapped) for env in self.envs}) < runs:
             raise InputError("make", "one environment again and again", "a new one at every call")
         spaces = [(_box(env, "observation_space"), _box(env, "action_space")) for env in self.envs]
@@ -108,11 +114,11 @@ class GymnasiumEnvs:
     def state(self) -> bytes:
         """Environments where they stand, for `restore`."""
         try:
-            envs = [env.call("kept") if isinstance(env, _Apart) else env for env in self.envs]
-            if any("EzPickle" in (base.__name__ for base in type(env.unwrapped).__mro__) for env in envs):
-                expected = "one that pickle keeps where it stands: this one is made anew and could not go on exactly"
-                raise InputError("env", repr(envs[0].unwrapped)[:60], expected)
-            return pickle.dumps(envs)
+            if isinstance(self.envs[0], _Apart):
+                return pickle.dumps([(*env.spaces, env.call("kept", None)) for env in self.envs])
+            for env in self.envs:
+                _check_kept(env)
+            return pickle.dumps(self.envs)
         except (AttributeError, TypeError, pickle.PicklingError) as error:
             raise InputError("env", str(error), "environments that pickle can keep") from None
 
@@ -125,11 +131,15 @@ class GymnasiumEnvs:
             If its environments are others, as far as their number and spaces tell.
         """
         envs = pickle.loads(state)
-        own, kept = ([(env.observation_space, env.action_space) for env in some] for some in (self.envs, envs))
-        if own != kept:
-            raise InputError("state", f"{len(kept)} environments of {kept[0]}", f"{len(own)} of {own[0]}")
-        if isinstance(self.envs[0], _Apart):
-            for env, one in zip(self.envs, envs):
+        apart, kept_apart = isinstance(self.envs[0], _Apart), isinstance(envs[0], tuple)
+        own = [(env.observation_space, env.action_space) for env in self.envs]
+        kept = [env[:2] if kept_apart else (env.observation_space, env.action_space) for env in envs]
+        if apart != kept_apart or own != kept:
+            places = ["here", "in processes of their own"]
+            got = f"{len(kept)} environments of {kept[0]}, kept {places[kept_apart]}"
+            raise InputError("state", got, f"{len(own)} of {own[0]}, kept {places[apart]}")
+        if apart:
+            for env, (*_, one) in zip(self.envs, envs):
                 env.call("kept", one)
         else:
             self.envs = envs
@@ -189,7 +199,7 @@ class _Apart:
 
     def __init__(self, make: Any, limit: float) -> None:
         self.call = OwnProcess(_Held(make), limit, ("call", "given"))
-        self.observation_space, self.action_space = self.call("spaces")
+        self.spaces = self.observation_space, self.action_space = self.call("spaces", None)
         self.unwrapped = self
 
     def reset(self, **seed: int) -> Any:
@@ -208,14 +218,26 @@ class _Held:
         self.make = make
         self.env: Any = None
 
-    def __call__(self, name: str, given: Any = None) -> Any:
+    def __call__(self, name: str, given: Any) -> Any:
         self.env = _made(self.make) if self.env is None else self.env
         if name == "kept":
-            self.env = self.env if given is None else given
-            return self.env
+            if given is None:
+                from joblib import wrap_non_picklable_objects
+
+                _check_kept(self.env)  # its class may be one that only the caller's file knows
+                return pickle.dumps(wrap_non_picklable_objects(self.env, keep_wrapper=False))
+            self.env = pickle.loads(given)
+            return True
         if name == "spaces":
             return self.env.observation_space, self.env.action_space
         return self.env.reset(**given) if name == "reset" else self.env.step(given)
+
+
+def _check_kept(env: Any) -> None:
+    """Raise an `InputError` unless pickle keeps an environment where it stands."""
+    if "EzPickle" in (base.__name__ for base in type(env.unwrapped).__mro__):
+        expected = "one that pickle keeps where it stands: this one is made anew and could not go on exactly"
+        raise InputError("env", repr(env.unwrapped)[:60], expected)
 
 
 def _made(make: Any) -> Any:

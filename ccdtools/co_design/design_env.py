@@ -66,7 +66,7 @@ class DesignEnv(Base):
         self._episodes = _Episodes("DesignEnv", problem, design, 1)
         self.problem = problem
         self.observation_space, self.action_space = self._episodes.spaces()
-        made: Any = DesignEnv
+        made: Any = type(self)
         self.spec = EnvSpec("ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design})
 
     @property

@@ -54,6 +54,7 @@ class DesignPoint:
     cost: float
     slope: Array  # (np,): of the cost, per unit-box length
     size: float = 1.0  # part of the return that control makes: what gains are compared with
+    constant: float = 0.0  # the rest of the first cost
     spent: bool = False  # whether the evaluations ran out
     violation: float = 0.0  # excess over the tolerance of the limits
     penalty: StateLimitPenalty | None = None  # what leaving the limits cost
@@ -197,7 +198,8 @@ def best_design(
             first, value = cost.first_point(v)
             end = DesignPoint(first, np.inf, np.zeros(len(first)))
             if np.isfinite(value):
-                end = descend(cost, cost.space, first, size=_size(problem, value, first), evaluations=evaluations)
+                size = _size(problem, value, first)
+                end = descend(cost, cost.space, first, size=size, constant=value - size, evaluations=evaluations)
                 end = cost.within_limits(end, evaluations)
             ends.append(end)
             shown.update()
@@ -294,7 +296,9 @@ class SpentError(Exception):
     """Raised when no evaluation is left, or more of them are of no use."""
 
 
-def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> DesignPoint:
+def descend(
+    cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int, constant: float = 0.0
+) -> DesignPoint:
     """Least cost found from a feasible unit-box point.
 
     Fixed entries and whole numbers are held.
@@ -308,10 +312,12 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
         Of costs: what gains are compared with.
     evaluations : int
         At most.
+    constant : float
+        What control does not make of costs.
     """
     limits = space.allowed.limits
     free = space.allowed.free
-    watched = _Watched(cost, space, v, size, evaluations)
+    watched = _Watched(cost, space, v, size, constant, evaluations)
     constraints = [] if limits is None else [{
         "type": "ineq", "fun": lambda z: -limits.values(watched.point(z)) - EXACT,
         "jac": lambda z: -limits.jacobian(watched.point(z))[:, free],
@@ -333,13 +339,15 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
 class _Watched:
     """Relative cost of free entries z that remembers its last and its best point, with cost and slope."""
 
-    def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
+    def __init__(
+        self, cost: Cost, space: DesignSpace, v: Array, size: float, constant: float, evaluations: int
+    ) -> None:
         self._cost = cost
         self._allowed = space.allowed
         self._size = size
         self._left = evaluations
         self._spent = False
-        self._constant = 0.0  # of the first cost, what control does not make
+        self._constant = constant
         self._last: tuple[Array, float, Callable[[], Array]] = (np.full(len(v), np.nan), np.inf, lambda: v)
         self.best: tuple[Array, float, Callable[[], Array]] = (v, np.inf, lambda: np.zeros(len(v)))
 
@@ -364,8 +372,6 @@ class _Watched:
                 raise SpentError
             self._left -= 1
             cost, slope = self._cost(v)
-            if np.isinf(self.best[1]) and np.isfinite(cost):
-                self._constant = cost - self._size
             self._last = (v, cost, cache(slope))
             if cost < self.best[1] and self._allowed.violation(v) <= EXACT:
                 self.best = self._last
@@ -389,7 +395,7 @@ class _Watched:
     def ended(self) -> DesignPoint:
         """Best point, with its slope."""
         v, cost, slope = self.best
-        return DesignPoint(v, cost, slope(), self._size, self._spent)
+        return DesignPoint(v, cost, slope(), self._size, self._constant, self._spent)
 
 
 def compressed(relative: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.co_design.result import CoDesignResult
-from ccdtools.co_design.tolerances import LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
+from ccdtools.co_design.tolerances import BLIND_SHARE, LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference
 from ccdtools_ground.door import as_vector
@@ -93,6 +93,13 @@ class GradientCheck(Immutable):
         allowed = TRUSTED_SLOPE * length + SIGNIFICANT * min(errors) + LEVEL_SLOPE * self.scale
         return bool(deviation <= allowed)
 
+    @property
+    def astray(self) -> str:
+        """Why the gradient of a policy does not lead; empty where it may."""
+        if self.blind > BLIND_SHARE:
+            return f"the policy has no gradient in {self.blind:.0%} of the runs"
+        return "" if self.trusted else "the gradient of the policy is not that of its return, beyond chance"
+
     def __str__(self) -> str:
         rows = [f"{'design gradient (unit box)':<28}" + "".join(f"{name:>24}" for name in self.names)
                 + "     cosine     length"]  # fmt: skip
@@ -152,8 +159,8 @@ class LearnedCoDesign(CoDesignResult):
     gradients : GradientCheck or None
         Before its first move; None when the design is frozen.
     policy_gradients, first_policy_gradients : GradientCheck or None
-        Slopes of the policy handed out, and of the first one, along a few random changes of its last layer; None where
-        nothing was settled, or the policy does not follow them.
+        Slopes of the policy handed out, and of the one that it began with, along a few random changes of the last
+        layer; None where nothing was settled, or the policy does not follow them.
     gains : dict
         What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
         one found, "policy" the gain of the policy found over the first one there.
@@ -199,7 +206,9 @@ class LearnedCoDesign(CoDesignResult):
 
     def _remarks(self) -> list[str]:
         """Other remarks, one line each."""
+        first, told = self.first_policy_gradients, []
+        if first is not None and first.astray:
+            told.append(f"at the first design {first.astray}")
         if self.convergence is not None and self.convergence.by_differences:
-            followed = "the design followed finite differences: the gradient through the model was wrong"
-            return [followed, *super()._remarks()]
-        return super()._remarks()
+            told.append("the design followed finite differences: the gradient through the model was wrong")
+        return told + super()._remarks()

@@ -34,7 +34,7 @@ from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN
 from ccdtools.co_design.risk_intervals import parts_of_risk
-from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_ACTION, NO_GRADIENT, POLICY_STEP, RETUNE_STEPS
+from ccdtools.co_design.tolerances import LEAST_ACTION, NO_GRADIENT, POLICY_STEP, RETUNE_STEPS
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import scaled
@@ -137,13 +137,6 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
     names = tuple(f"direction {i + 1}" for i in range(pathwise.shape[1]))
     blind = float((pathwise.norm(dim=1) <= NO_GRADIENT * scale).double().mean())
     return compared(names, pathwise, by_difference, scale, blind=blind)
-
-
-def astray(check: GradientCheck) -> str:
-    """Why a policy's gradient does not lead; empty where it may."""
-    if check.blind > BLIND_SHARE:
-        return f"the policy has no gradient in {check.blind:.0%} of the runs"
-    return "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
 
 
 @torch.no_grad()

@@ -30,7 +30,7 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.co_design.policy_check import astray, better_by_search, gradient_of_policy
+from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
 from ccdtools.co_design.risk import Mean, measure, of_kept_runs
@@ -110,7 +110,7 @@ class Settling:
         further = replace(further, method=both, notes=(*further.notes, note), evaluations=count)
         if isinstance(first, LearnedCoDesign) and isinstance(further, LearnedCoDesign):
             gains = {part: gain + first.gains.get(part, 0.0) for part, gain in further.gains.items()}
-            further = replace(further, gains=gains)
+            further = replace(further, gains=gains, first_policy_gradients=first.first_policy_gradients)
         return further
 
     def _loop(self, controller: Any, design: Array, runs: int | None = None) -> ClosedLoopReturns:
@@ -305,7 +305,7 @@ class Settling:
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method.rpartition(", then ")[2]:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
-            wrong = astray(check)
+            wrong = check.astray
             if not wrong and getattr(self.problem.model, "jump", False):
                 wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:
@@ -346,9 +346,7 @@ def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns, *, priced: b
     elif priced:
         cure = f"{result.method} prices the limits: a larger budget may keep them"
     else:
-        cure = (
-            f"no closed loop of {result.method} sees the limits: Nested('gain'), Nested('mpc') and learning price them"
-        )
+        cure = f"{result.method} does not price the limits: Nested('gain'), Nested('mpc') and learning do"
     return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, cure))
 
 

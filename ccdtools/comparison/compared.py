@@ -85,7 +85,10 @@ class Compared:
 
     @property
     def word(self) -> str:
-        """One of `WORDS`; "in return only" beyond the baseline's limits. Too few seeds show no equality."""
+        """One of `WORDS`; "in return only" beyond the baseline's limits.
+
+        Two to nine seeds show no equality, unless all returns are the same; one says nothing of seeds.
+        """
         found = self.evidence
         if found.lost[0] > found.lost[1]:
             return LOSES_MORE
@@ -93,7 +96,7 @@ class Compared:
         if not np.isfinite(ends).all() or not found.size > 0:
             return OPEN
         word = word_of_gain(*(value / found.size for value in ends))
-        if 1 < self.seeds < FEWEST_RUNS and word in ("equal", "not worse"):
+        if 1 < self.seeds < FEWEST_RUNS and word in ("equal", "not worse") and any(ends):
             return OPEN
         return word if found.violation is None or word in (OPEN, "worse") else f"{word}{RETURN_ONLY}"
 
@@ -126,14 +129,16 @@ def compared(
                   for some in (records, base))  # fmt: skip
     cells = list(own.values())
     pairs = [(cell, other[seed]) for seed, cell in own.items() if seed in other]
-    made = [one for one in records if not one.refused]
-    refused = [f"seed {one.seed}: {one.refused}" for one in records if one.refused]
+    made = [one for one in records if one.cells or not one.refused]
+    refused, base_refused = ([one for one in some if one.refused and one.seed not in met]
+                             for some, met in ((records, own), (base, other)))  # fmt: skip
+    told = [f"seed {one.seed}: {one.refused}" for one in refused]
     kept = [np.where(cell.lost, np.nan, cell.returns) for cell in cells]
     worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
     left = [_left(cell) for cell in cells]
     runs = max((len(cell.returns) for cell in (*cells, *other.values())), default=1)
-    lost, begun = _lost(runs * _refused(records), own.values())
-    base_lost, _ = _lost(runs * _refused(base), other.values())
+    lost, begun = _lost(runs * len(refused), own.values())
+    base_lost, _ = _lost(runs * len(base_refused), other.values())
     grouped = f"{len(records)} seeds of {runs} runs"
     return Compared(
         names, len(cells), runs,
@@ -148,7 +153,7 @@ def compared(
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
         c_step_time=float(np.median([one.c_step_time for one in made])) if made else float("nan"),
         metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
-        remark=next(iter([*refused, *(one.remark for one in records if one.remark)]), ""),
+        remark=next(iter([*told, *(one.remark for one in records if one.remark)]), ""),
     )  # fmt: skip
 
 
@@ -236,11 +241,6 @@ def _lost(refused: int, cells: Collection[Cell]) -> tuple[int, int]:
     """Numbers of lost runs and of runs, refused ones included."""
     lost = sum(int(cell.lost.sum()) for cell in cells)
     return refused + lost, refused + sum(len(cell.returns) for cell in cells)
-
-
-def _refused(records: Sequence[Record]) -> int:
-    """Number of seeds for which no controller could be made."""
-    return sum(bool(one.refused) for one in records)
 
 
 def _average(values: Sequence[float]) -> float:

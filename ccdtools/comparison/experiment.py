@@ -91,7 +91,7 @@ class Plan:
         p = self.designs[of_design]
         start = time.perf_counter()
         runs: dict[tuple[str, str], tuple[Trajectory, Array]] = {}
-        at = ("", "")
+        refused: list[str] = []
         try:
             made = self.controllers[name](p, _generator(seed, "controller", name, of_design))
             seconds = time.perf_counter() - start
@@ -99,21 +99,22 @@ class Plan:
             steps = as_count("steps", steps, least=0)
             controller = as_controller(given)
             needs_of(controller)
-            for at, scenario in scenarios.items():
+        except Exception as error:  # a controller that fails must not lose what the others found
+            return Record(*task, refused=_reason(error, ()))
+        for at, scenario in scenarios.items():
+            try:
                 run = self.simulated(scenario, controller, p)
                 runs[at] = run, step_times(controller, run.states[0], scenario, p)
-        except Exception as error:  # a controller that fails must not lose what the others found
-            reason = " ".join(str(error).split())
-            reason = reason if isinstance(error, CCDError) else f"stopped with {type(error).__name__}: {reason}"
-            place = ", ".join(name for name in at if name)
-            return Record(*task, refused=f"{place}: {reason}" if place else reason)
-        in_c = c_step_time(controller, next(iter(runs.values()))[0]) if self.compiled else float("nan")
+            except Exception as error:
+                refused.append(_reason(error, at))
+        in_c = c_step_time(controller, next(iter(runs.values()))[0]) if self.compiled and runs else float("nan")
         cells = tuple(self._cell(names, scenarios[names], *found) for names, found in runs.items())
         return Record(
             *task,
             cells,
             seconds,
             steps,
+            refused="; ".join(refused),
             remark=str(getattr(controller, "remark", "")),
             about=described(given),
             c_step_time=in_c,
@@ -180,6 +181,14 @@ class Plan:
             return self.simulated(Scenario(plant, x, w), lambda _: u, p)
         except CCDError as error:
             return str(error)
+
+
+def _reason(error: Exception, at: tuple[str, ...]) -> str:
+    """What an error says, and where it was met."""
+    said = " ".join(str(error).split())
+    place = [name for name in at if name]
+    own = [said] if isinstance(error, CCDError) else [f"stopped with {type(error).__name__}", said]
+    return ": ".join([*([", ".join(place)] if place else []), *own])
 
 
 def experiment(

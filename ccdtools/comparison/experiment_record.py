@@ -45,10 +45,10 @@ class Record:
     controller: str
     design: str
     seed: int
-    cells: tuple[Cell, ...] = field(default=())  # empty where the controller was refused
+    cells: tuple[Cell, ...] = field(default=())  # without those in which the controller was refused
     seconds: float = float("nan")  # that it took to be made
     steps: int = 0  # samples of the environment that it was trained on
-    refused: str = ""  # why there is no controller; empty where there is one
+    refused: str = ""  # why there is no controller, or none in some scenario
     remark: str = ""  # what the controller says of itself
     about: str = ""  # the controller in words
     c_step_time: float = float("nan")  # of its exported C [s], where it was asked for and exists

@@ -9,7 +9,7 @@ TRIED_COMBINATIONS = 100  # So many combinations of whole numbers are tried, the
 # --- discretisation ---------------------------------------------------------------------------------------------------
 PART_BY_COLLOCATION = 60  # A part by collocation takes about as long as so many of Runge–Kutta.
 # A sample is cut into at most so many parts.
-MOST_PARTS = {"rk4": 512, "collocation": 16}
+MOST_PARTS = {"rk4": 512, "collocation": 64}
 NEWTON_ITERATIONS = 50  # Newton's method has at most so many iterations.
 ERROR_POINTS = 1024  # A round of the search for the largest error has so many points over limits and designs.
 RUNS_AT_ONCE = 2048  # The numbers of so many runs fit into the processor's cache.

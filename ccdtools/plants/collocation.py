@@ -17,9 +17,8 @@ from ccdtools.plants.tolerances import CLOSE, CONVERGED, STAGES, STALLED
 class ImplicitStep:
     """Implicit step (x, u, w, p) → x⁺ by collocation, for all runs at once.
 
-    Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` parts. They grow along the sample, as fast states
-    settle at its start, where the held input jumps. A run for which Newton's method does not converge gets NaN. `scale`
-    (nx,) is the extent of each state, for tolerances. Single precision is stepped in double.
+    Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` equal parts. A run for which Newton's method does not
+    converge gets NaN. `scale` (nx,) is the extent of each state, for tolerances. Single precision is stepped in double.
 
     References
     ----------
@@ -28,9 +27,10 @@ class ImplicitStep:
 
     def __init__(self, f: ca.Function, dt: float, substeps: int, scale: Array | None = None) -> None:
         self.f = f
+        self.dt = dt
+        self.substeps = substeps
         self.weights = radau_weights()
         self.scale = np.ones(f.numel_out(0)) if scale is None else scale
-        self.lengths = np.diff(dt * np.linspace(0, 1, substeps + 1) ** 4)
         arguments = f.sx_in()
         J = ca.jacobian(f(*arguments), arguments[0])
         self._dynamics = Vectorised(f)
@@ -40,19 +40,19 @@ class ImplicitStep:
     def function(self) -> ca.Function:
         """The step by CasADi's Newton solver, differentiable (implicit function theorem)."""
         nx = self.f.numel_out(0)
+        h = self.dt / self.substeps
         x, u, w, p = (ca.SX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp"))
-        h = ca.SX.sym("h")
         unit = ca.DM(self.scale)
         z = ca.SX.sym("z", nx, STAGES)  # stages in units of the scale
         rates = ca.horzcat(*(self.f(unit * z[:, j], u, w, p) for j in range(STAGES)))
         residual = z - ca.repmat(x / unit, 1, STAGES) - h * (rates / ca.repmat(unit, 1, STAGES)) @ ca.DM(self.weights).T
-        equations = {"x": ca.vec(z), "p": ca.vertcat(h, x, u, w, p), "g": ca.vec(residual)}
+        equations = {"x": ca.vec(z), "p": ca.vertcat(x, u, w, p), "g": ca.vec(residual)}
         options = {"max_iter": NEWTON_ITERATIONS, "error_on_fail": False, "abstol": CONVERGED, "abstolStep": CONVERGED}
         solve = ca.rootfinder("stages", "newton", equations, options)
         given = [ca.MX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp")]
         after = given[0]
-        for length in self.lengths:
-            after = unit * solve(ca.repmat(after / unit, STAGES, 1), ca.vertcat(length, after, *given[1:]))[-nx:]
+        for _ in range(self.substeps):
+            after = unit * solve(ca.repmat(after / unit, STAGES, 1), ca.vertcat(after, *given[1:]))[-nx:]
         return ca.Function("step", given, [after], list("xuwp"), ["x_next"])
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
@@ -74,18 +74,18 @@ class ImplicitStep:
         batch = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in (x, *held)))
         x = xp.broadcast_to(x, (*batch, x.shape[-1]))
         along = tuple(a[..., None, :] for a in held)  # the same for every stage
-        for h in self.lengths:
+        for _ in range(self.substeps):
             if xp is np:
-                Z = self._solved(xp, x, h, along)
+                Z = self._solved(xp, x, along)
             else:
                 with xp.no_grad():
-                    Z = self._solved(xp, x.detach(), h, tuple(a.detach() for a in along))
+                    Z = self._solved(xp, x.detach(), tuple(a.detach() for a in along))
                 for _ in range(2):  # one gives the first derivatives, two the second and third
-                    Z = Z - self._newton(xp, Z, x, h, along)
+                    Z = Z - self._newton(xp, Z, x, along)
             x = Z[..., -1, :]
         return x
 
-    def _solved(self, xp: Any, x: Any, h: float, along: tuple[Any, ...]) -> Any:
+    def _solved(self, xp: Any, x: Any, along: tuple[Any, ...]) -> Any:
         """Stages Z (..., 3, nx); NaN where Newton's method does not converge."""
         Z = xp.stack([x] * STAGES, -2)
         scale = self.scale if xp is np else x.new_tensor(self.scale.tolist())
@@ -93,7 +93,7 @@ class ImplicitStep:
         before = float("inf")
         done = ~xp.isfinite(Z).all(-1).all(-1)
         for _ in range(NEWTON_ITERATIONS):
-            step = self._newton(xp, Z, x, h, along)
+            step = self._newton(xp, Z, x, along)
             Z = Z - step
             largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
             size = largest.max(-2, keepdims=True) if xp is np else largest.amax(-2, keepdim=True)
@@ -103,12 +103,13 @@ class ImplicitStep:
             before = left
             if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):
                 break
-        Z = Z - self._newton(xp, Z, x, h, along)
+        Z = Z - self._newton(xp, Z, x, along)
         return xp.where(done[..., None, None], Z, Z * float("nan"))
 
-    def _newton(self, xp: Any, Z: Any, x: Any, h: float, along: tuple[Any, ...]) -> Any:
-        """Newton's step (..., 3, nx) at stages Z of a part of length h."""
+    def _newton(self, xp: Any, Z: Any, x: Any, along: tuple[Any, ...]) -> Any:
+        """Newton's step (..., 3, nx) at stages Z."""
         nx = x.shape[-1]
+        h = self.dt / self.substeps
         weights = h * self.weights if xp is np else Z.new_tensor((h * self.weights).tolist())
         rates = self._dynamics(Z, *along)
         J = self._jacobian(Z, *along).reshape(*Z.shape, nx)

@@ -221,8 +221,8 @@ def _accurate(
             lost.append(f"{method}: {why} at {_place(plant, error)}")
     reached = "nothing is reached"
     cure = "Shorten dt, or narrow X, U and W to where the plant is smooth."
-    if math.isfinite(best[0]):
-        error = _error(plant, dt, *best[1:], region)
+    error = _error(plant, dt, *best[1:], region) if best[1] else error
+    if math.isfinite(error.relative):
         reached = f"{error.relative:.4g} is reached (worst at {_place(plant, error)})"
         cure = f"Take accuracy={1.1 * error.relative:.2g}. Or {cure[0].lower()}{cure[1:]}"
     got = "; ".join([f"{accuracy:g}, where {reached}", *lost])

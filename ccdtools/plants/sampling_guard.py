@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable
@@ -83,16 +84,26 @@ def _rates_at(plant: Plant, x: Array | None) -> Callable[[Array], Any]:
     return lambda p: jacobian(np.zeros(plant.nx) if x is None else x, 0, 0, p)
 
 
-def warn_of_growth(plant: Plant, dt: float, *, stable: float = 2.7) -> None:
+def warn_of_growth(plant: Plant, dt: float) -> None:
     """Issue a `SamplingWarning` if Runge–Kutta parts grow what the plant damps at rest."""
-    matrices = [np.asarray(_rates_at(plant, None)(p), dtype=float) for p in plant.design.spread()]
+    rates = _rates_at(plant, None)
+    matrices = [np.asarray(rates(p), dtype=float) for p in plant.design.spread()]
     modes = np.concatenate([np.linalg.eigvals(A) for A in matrices if np.isfinite(A).all()] or [np.zeros(1)])
-    fastest = float(np.abs(modes[modes.real < 0]).max(initial=0.0))
-    if fastest * dt > stable * plant.substeps:
+    damped = dt * modes[modes.real < 0]
+
+    def growth(parts: int) -> Array:
+        """Factors (n,) of the damped modes in a part."""
+        z = damped / parts
+        return np.asarray(np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24))
+
+    if (growth(plant.substeps) > 1).any():
+        fastest = damped[np.argmax(growth(plant.substeps))]
+        fewest = max(plant.substeps, int(np.abs(damped).max() / 3))  # steps are stable within less than 3
+        enough = next(n for n in itertools.count(fewest) if (growth(n) <= 1).all())
         warnings.warn(
-            f"the plant has a time constant of {1 / fastest:.2g} s, which {plant.substeps} Runge–Kutta parts of "
-            f"dt = {dt:g} s do not follow: steps grow. Pass X, U and W, by which parts are chosen, or give the plant "
-            f"substeps={math.ceil(fastest * dt / stable)}.", SamplingWarning, stacklevel=3)  # fmt: skip
+            f"the plant has a mode that settles within {dt / -fastest.real:.2g} s, which {plant.substeps} Runge–Kutta "
+            f"parts of dt = {dt:g} s do not follow: steps grow. Pass X, U and W, by which parts are chosen, or give "
+            f"the plant substeps={enough}.", SamplingWarning, stacklevel=3)  # fmt: skip
 
 
 def warn_of_aliasing(plant: Plant, dt: float, x: Array | None = None) -> None:

@@ -77,7 +77,9 @@ class Residuals(Immutable):
     def columns(self) -> tuple[Array, Array, Array, Array, Array]:
         """Columns e, x, u, p and e⁺ (n T, ·) of all samples."""
         p = np.broadcast_to(self.p, (*self.x.shape[:2], len(self.p)))
-        e, x, u, p, e_next = (c.reshape(-1, c.shape[-1]) for c in (self.e, self.x, self.u, p, self.e_next))
+        e, x, u, p, e_next = (
+            c.reshape(self.runs * self.steps, c.shape[-1]) for c in (self.e, self.x, self.u, p, self.e_next)
+        )
         return e, x, u, p, e_next
 
 

@@ -132,7 +132,8 @@ class DigitalTwin(Immutable):
         scale = np.where(extent > 0, extent, 1.0) if self.scale is None else self.scale
         model = self.model
         if isinstance(model, SimulatedModel) and model.extent is None:
-            largest = [np.abs(part).max(axis=(0, 1)) for part in (log.inputs, log.disturbances)]
+            kept = (logs[-1].u, log.disturbances[~log.diverged])
+            largest = [np.abs(part).max(axis=(0, 1)) for part in kept]
             entering = np.concatenate(largest)
             model = replace(model, extent=np.concatenate([scale, np.where(entering > 0, entering, 1.0)]))
         return replace(self, model=model, logs=logs, scale=scale)

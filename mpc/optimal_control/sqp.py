@@ -265,7 +265,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: 
         confirmed = _confirmed(local, dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
-        if last.newton and last.program is not None and confirmed.error**2 <= KKT * last.error:
+        if last.newton and last.program is not None and confirmed.error <= (KKT * last.error) ** 0.5:
             hessian = last.program.hessian  # falling as before, the error will be gone with the same one
     newton = None if multipliers is None else _program(local, dear, multipliers, hessian)
     program = newton or _program(local, dear, None)

@@ -141,7 +141,7 @@ class Alone(Cart):
 
 
 def test_one_that_dies_says_where_and_keeps_what_was_simulated():
-    with pytest.raises(SimulatorError, match=r"licence lost at x = .* at step 3 of a simulation") as caught:
+    with pytest.raises(SimulatorError, match=r"licence lost at x = .* at step 3\.") as caught:
         simulate(Dying(), LAWS["LQR"], x0=[1.0, 0.0], steps=30, design=[1.0])
     assert caught.value.kept.inputs.shape == (1, 3, 1)
 

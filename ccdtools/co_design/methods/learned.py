@@ -25,7 +25,7 @@ from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.loops import lqr_is_expert
-from ccdtools.co_design.policy_check import astray, gradient_of_policy
+from ccdtools.co_design.policy_check import gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import Mean, check_followed, measure
@@ -143,8 +143,6 @@ class Learned:
         before = _gradients(problem, begun, rng, SETTLING_RUNS // 2) if task.pathwise else None
         ascents = race(agents, start_designs(task, design, found), rng, progress=progress)
         result = replace(_result(ascents, given, design, found), first_policy_gradients=before)
-        if before is not None and astray(before):
-            result = replace(result, notes=(*result.notes, f"at the first design {astray(before)}"))
         if not problem.hidden:
             return result
         from ccdtools.co_design.output_filter import memory_at
@@ -205,7 +203,7 @@ def _leads(problem: CoDesignProblem, policy: LearnedPolicy, rng: np.random.Gener
     """Whether the gradient of a policy is that of its return."""
     if getattr(problem.model, "jump", False):
         return False
-    return not astray(_gradients(problem, policy, rng, 2 * SETTLING_RUNS))
+    return not _gradients(problem, policy, rng, 2 * SETTLING_RUNS).astray
 
 
 def _gradients(

@@ -188,7 +188,9 @@ class LoopCost(DesignCost):
                 break
             self.penalty = penalty.dearer(PRICE_GROWTH) if violation > 0 and self.penalty is not None else penalty
             penalty = self.penalty
-            found = descend(self, self.space, found.v, size=found.size, evaluations=evaluations)
+            found = descend(
+                self, self.space, found.v, size=found.size, constant=found.constant, evaluations=evaluations
+            )
         if not ends:
             return unpriced
         best = min(ends, key=lambda end: end.order)

@@ -70,9 +70,9 @@ class Nested:
         differences). In open loop: the best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes
         exact, by multipliers).
     runs : int, optional
-        Scenarios of 100 steps; of longer ones, and of models whose samples have over 32 Runge–Kutta parts, fewer are
-        taken, except of trajectories. By default 1000 of LQR or a gain, 32 of MPC, 16 of nonlinear MPC, 8 of
-        trajectories, 256 of learning.
+        Scenarios of 100 steps; of longer ones, and of models whose samples take longer than 32 Runge–Kutta parts (one
+        by collocation takes as long as 60), fewer are taken, except of trajectories. By default 1000 of LQR or a gain,
+        32 of MPC, 16 of nonlinear MPC, 8 of trajectories, 256 of learning.
     starts : int
         Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
     evaluations : int, optional

@@ -97,6 +97,6 @@ def test_the_gradient_of_a_policy_is_compared_before_a_climb():
     rng = np.random.default_rng(0)
     found, blind = (Learned(agent=one, config=short).run(problem, np.array([1.0]), rng) for one in (agent, bound))
     assert found.first_policy_gradients.trusted
-    assert not any("at the first design" in note for note in found.notes)
+    assert not any("at the first design" in line for line in found.describe())
     assert blind.first_policy_gradients.blind == 1.0
-    assert any("at the first design the policy has no gradient in 100% of the runs" in note for note in blind.notes)
+    assert "at the first design the policy has no gradient in 100% of the runs" in blind.describe()

@@ -85,6 +85,24 @@ def test_the_figure_says_what_was_not_made_and_hides_no_curve():
     assert shown["LQR"] == "-" != shown["same"]
 
 
+def test_a_controller_that_stops_in_one_scenario_keeps_what_it_did_in_others():
+    def fragile(design, rng):
+        def law(x):
+            if np.abs(x).max() > 20:
+                raise ZeroDivisionError("beyond")
+            return -GAIN * x
+
+        return law
+
+    far = Scenario(PLANT, np.full((7, 1), 30.0), np.zeros((7, 20, 1)))
+    result = found({"LQR": LAWS["LQR"], "fragile": fragile}, {"near": drawn, "far": far}, seeds=2)
+    near, beyond = result["fragile", "near"], result["fragile", "far"]
+    assert near.evidence.gain.mean == pytest.approx(0.0)
+    assert near.evidence.lost == (0, 0)
+    assert beyond.evidence.lost == (14, 0)
+    assert "far: stopped with ZeroDivisionError: beyond" in beyond.remark
+
+
 def test_returns_are_those_of_the_loop_by_hand_and_gains_are_in_pairs():
     scenario = drawn(np.random.default_rng(5))
     cell = found({"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}, scenario, seeds=1)["weak"]
@@ -299,9 +317,10 @@ def test_few_seeds_are_said_to_be_too_few_for_their_intervals():
 
 
 def test_too_few_seeds_call_nothing_equal():
-    laws = {name: LAWS["LQR"] for name in ("LQR", "same")}
-    words = [found(laws, seeds=seeds)["same"].word for seeds in (1, 9, 10)]
-    assert words == ["equal", "open", "equal"]
+    near = lambda design, rng: LinearFeedback([[LAWS["LQR"](design, rng).K[0, 0] + 1e-4]])  # noqa: E731
+    laws = {"LQR": LAWS["LQR"], "same": LAWS["LQR"], "near": near}
+    words = [[found(laws, seeds=seeds)[name].word for name in ("same", "near")] for seeds in (1, 9, 10)]
+    assert words == [["equal", "equal"], ["equal", "open"], ["equal", "equal"]]
 
 
 def test_the_interquartile_mean_does_not_follow_one_bad_seed():

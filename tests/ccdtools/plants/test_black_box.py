@@ -355,7 +355,7 @@ def test_a_process_that_hangs_ends_after_the_one_that_called_it():
 
 @pytest.mark.parametrize("step_limit", [None, 60.0])
 def test_a_simulator_that_stops_in_mid_run_keeps_what_was_simulated_and_one_that_never_works_is_bad_input(step_limit):
-    with pytest.raises(SimulatorError, match=r"OSError: no licence at x = .* at step \d+ of a simulation") as caught:
+    with pytest.raises(SimulatorError, match=r"OSError: no licence at x = .* at step \d+\.") as caught:
         running(advance=unlicensed_near_rest, step_limit=step_limit)
     whole, k = running(), caught.value.step
     assert k > 0

@@ -3,7 +3,6 @@
 import pickle
 import re
 from dataclasses import replace
-from functools import partial
 
 import casadi as ca
 import mpmath
@@ -92,32 +91,28 @@ def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_step
     assert discretise(swing(), accuracy=1e-3, **SWING).substeps < smooth.substeps
 
 
-@pytest.mark.parametrize(
-    ("inductance", "method"),
-    [(1e-3, "rk4"), pytest.param(1e-4, "collocation", marks=pytest.mark.check), (1e-5, "collocation")],
-)
-def test_a_motor_is_accurate_by_default_however_fast_its_current_settles(inductance, method):
-    model = discretise(motor(inductance), **MOTOR)
-    assert model.method == method
-    rates = partial(motor_rates, inductance=inductance)
+def test_a_motor_whose_current_settles_within_a_fiftieth_of_a_sample_is_accurate_by_default():
+    model = discretise(motor(), **MOTOR)
+    assert model.method == "rk4"
     for x, u, w, p in zip(*drawn(model, MOTOR, 20, np.random.default_rng(0))):
-        run = solve_ivp(lambda t, y: rates(y, u, w, p), (0, 0.05), x, "Radau", rtol=1e-11, atol=1e-11)  # noqa: B023
+        run = solve_ivp(lambda t, y: motor_rates(y, u, w, p), (0, 0.05), x, "Radau", rtol=1e-11, atol=1e-11)  # noqa: B023
         assert (np.abs(model.advance(x[None], u[None], w[None], p)[0] - run.y[:, -1]) <= model.error.bound + 1e-9).all()
 
 
 @pytest.mark.check
 def test_an_accuracy_that_is_not_reached_is_answered_by_one_that_is():
+    fast = motor(1e-4)  # its current settles within a five-hundredth of a sample
     with pytest.raises(InputError, match="is reached") as refused:
-        discretise(motor(), accuracy=1e-10, **MOTOR)
+        discretise(fast, accuracy=1e-10, **MOTOR)
     advised = float(re.search(r"Take accuracy=([\d.e-]+\d)\.", str(refused.value))[1])
-    assert discretise(motor(), accuracy=advised, **MOTOR).error.relative <= advised
+    assert discretise(fast, accuracy=advised, **MOTOR).error.relative <= advised
 
 
 def test_without_limits_parts_that_grow_what_the_plant_damps_are_warned_of():
-    with pytest.warns(SamplingWarning, match=r"time constant of 0.001 s, which 10 Runge.*Pass X.*substeps=19") as seen:
+    with pytest.warns(SamplingWarning, match=r"settles within 0.001 s, which 10 Runge.*Pass X.*substeps=18") as seen:
         discretise(motor())
     assert len(seen) == 1
-    discretise(replace(motor(), substeps=19))
+    discretise(replace(motor(), substeps=18))
     discretise(motor(), method="collocation")
 
 

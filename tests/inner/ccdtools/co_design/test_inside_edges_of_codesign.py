@@ -276,7 +276,7 @@ def test_an_agent_acts_within_U_up_to_what_single_precision_rounds(part, accepte
 
 @pytest.mark.parametrize(("away", "put"), [(0.3e-9, 0.0), (3e-9, 3e-9)])
 def test_a_search_is_on_a_bound_within_a_billionth(away, put):
-    watched = _Watched(lambda v: (0.0, lambda: v), BOX, np.array([0.5, 0.5]), 1.0, 9)
+    watched = _Watched(lambda v: (0.0, lambda: v), BOX, np.array([0.5, 0.5]), 1.0, 0.0, 9)
     np.testing.assert_array_equal(watched.point(np.array([away, 1 - away])), [put, 1 - put])
 
 

@@ -130,7 +130,7 @@ def test_a_claim_falls_where_the_closed_loop_leaves_limits_further_than_was_aske
     assert found.status is CoDesignStatus.LIMITS_BROKEN
     assert found.limits.achieved.depth > 0.02
     assert not found.limits.kept
-    assert "sees the limits" in found.notes[-1]
+    assert "does not price the limits" in found.notes[-1]
     free = claimed(replace(tight, limit_tolerance="off"), BEST, gain(problem, BEST))
     assert free.status is CoDesignStatus.CONVERGED
 
