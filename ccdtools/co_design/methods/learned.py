@@ -17,6 +17,7 @@ from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.environment import EpisodeEnv
 from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy
@@ -73,7 +74,8 @@ class Learned:
     from_scratch : bool
         Whether a policy that PPO learns from nothing, at the first design, climbs beside it, along its own gradient
         where that is the one of its return, else as `by` says. It may find what no small change of an expert's
-        imitation reaches, such as the use of a wall. `codesign` takes one where it goes on from a climb.
+        imitation reaches, such as the use of a wall. One is taken, too, where LQR does nothing at the first design, as
+        of a damper whose damping is the input, and where `codesign` goes on from a climb.
     """
 
     by: str = "pathwise"
@@ -136,7 +138,7 @@ class Learned:
         agents = [(task, agent)]
         if task.moves_policy and self.agent is not None and not problem.hidden and _spoilt(judge, agent, design, rng):
             agents.append((task, first()))
-        if self.from_scratch:
+        if self.from_scratch or (task.moves_policy and self._alone(known) and _does_nothing(known, design)):
             learned = policy_from_scratch(problem, design, rng)
             agents.append((_on_from_scratch(task, learned, design, rng), learned))
         begun = LearnedPolicy(agent, design)
@@ -167,9 +169,13 @@ class Learned:
             return None
         if behind and _leads(self._seen(problem), result.policy, np.random.default_rng(0)):
             return replace(self, agent=result.agent, from_scratch=False)
-        given = (self.agent, self.judge, problem.measurement, problem.discrepancy)
-        scratch = self.from_scratch or all(one is None for one in given)
+        scratch = self.from_scratch or self._alone(problem)
         return replace(self, by="ppo", agent=result.agent, from_scratch=scratch)
+
+    def _alone(self, problem: CoDesignProblem) -> bool:
+        """Whether nothing is given that a policy from scratch would not know of."""
+        given = (self.agent, self.judge, problem.measurement, problem.discrepancy)
+        return all(one is None for one in given)
 
     def _seen(self, problem: CoDesignProblem) -> CoDesignProblem:
         """Problem of what the policy sees."""
@@ -190,6 +196,14 @@ def policy_from_scratch(
     env = EpisodeEnv(problem, design, runs=runs, rng=rng)
     generator = torch.Generator().manual_seed(seed)
     return train(env, env.agent(seed=seed), iterations=updates, steps=steps, generator=generator).agent
+
+
+def _does_nothing(problem: CoDesignProblem, design: Array) -> bool:
+    """Whether LQR has no gain, so that there is nothing to imitate."""
+    try:
+        return not saturated_lqr(problem, design).K.any()
+    except (MPCError, InputError):
+        return False
 
 
 def _on_from_scratch(task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator) -> Task:

@@ -39,6 +39,7 @@ def simulator(x, u, w, p):
     return 2 * x + 0.1 * u * p
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("model", ["equations", pytest.param("simulator", marks=pytest.mark.check)])
 def test_a_plant_that_escapes_every_law_is_told_as_diverging(model):
     if model == "equations":
@@ -49,6 +50,7 @@ def test_a_plant_that_escapes_every_law_is_told_as_diverging(model):
     assert found.status.name == "DIVERGING"
 
 
+@pytest.mark.check
 def test_a_plant_without_a_regulator_is_refused_by_name():
     model = equations(lambda x, u, p: 1.1 * x + 0.1 * p * u * x)
     with pytest.raises(InputError, match=r"none lies in X_fea|cannot be stabilised|samples"):

@@ -1,6 +1,4 @@
-"""Where a first climb saturates its policy, one from scratch climbs on along its own gradient."""
-
-import re
+"""Where LQR does nothing that could be imitated, a policy from scratch climbs beside it along its own gradient."""
 
 import casadi as ca
 import numpy as np
@@ -54,7 +52,7 @@ def test_the_policy_from_scratch_climbs_along_its_gradient(found):
     said = "\n".join(found.describe())
     assert found.method == "pathwise"
     assert "PPO learned from scratch what the policy began with" in said
-    assert re.search("pathwise ended with .*; pathwise went on and gained", said)
+    assert found.status.name == "CONVERGED"
 
 
 def test_it_is_better_than_a_switch_that_takes_energy_at_once(oscillator, found):

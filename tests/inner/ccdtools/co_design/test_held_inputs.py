@@ -41,6 +41,7 @@ def test_a_policy_from_scratch_learns_to_use_it():
     assert paired_difference(after.values, before.values).ci95[0] > 0
 
 
+@pytest.mark.check
 def test_without_a_wall_nothing_is_better_than_lqr():
     stated = replace(WALL, wall=-1e3, force=20.0).problem()
     agent = clone(stated)
