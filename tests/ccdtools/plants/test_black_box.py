@@ -169,6 +169,7 @@ def unlicensed_near_rest(x, u, w, p):
     return licensed(x if x[0] > 0.3 else [3.0], u, w, p)
 
 
+@pytest.mark.check
 def test_within_its_time_a_simulator_does_what_it_does_without_a_limit_and_so_does_a_copy():
     step = [0.8, 0.1], [0.2], [0.0], []
     plant = box(advance=licensed, step_limit=60.0)
@@ -223,6 +224,7 @@ def test_a_search_leaves_out_designs_at_which_the_simulator_dies():
     assert 0 < lost.sum() < len(lost)
 
 
+@pytest.mark.check
 def test_an_environment_may_hang_in_its_process():
     def build(env, p):
         if p[0] > 1.8:

@@ -484,6 +484,7 @@ def test_of_states_a_push_that_nothing_states_is_not_known_and_one_that_is_state
     np.testing.assert_allclose(found.values[:2], [0.5, 0.3], atol=4 * found.deviations[:2].max())
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("steps", [5, 10, 30])
 def test_of_states_a_short_log_has_wide_intervals(steps):
     held = 0

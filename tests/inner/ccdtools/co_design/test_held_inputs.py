@@ -22,6 +22,7 @@ def clone(stated):
     return first_policy(stated, np.array(DESIGN), np.random.default_rng(0), **options).agent
 
 
+@pytest.mark.check
 def test_a_policy_that_does_not_use_the_wall_is_worse_than_inputs_that_are_held():
     stated = WALL.problem()
     agent = clone(stated)
