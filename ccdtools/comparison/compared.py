@@ -14,7 +14,6 @@ from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Violation
 from ccdtools.evidence.percent import word_of_gain
 from ccdtools.limits import Excursions, further_outside
 from ccdtools.statistics import PairedDifference
-from ccdtools.tolerances import FEWEST_RUNS
 
 LOSES_MORE = "loses more runs"
 OPEN = "open"
@@ -85,10 +84,7 @@ class Compared:
 
     @property
     def word(self) -> str:
-        """One of `WORDS`; "in return only" beyond the baseline's limits.
-
-        Two to nine seeds show no equality, unless all returns are the same; one says nothing of seeds.
-        """
+        """One of `WORDS`; "in return only" beyond the baseline's limits."""
         found = self.evidence
         if found.lost[0] > found.lost[1]:
             return LOSES_MORE
@@ -96,8 +92,6 @@ class Compared:
         if not np.isfinite(ends).all() or not found.size > 0:
             return OPEN
         word = word_of_gain(*(value / found.size for value in ends))
-        if 1 < self.seeds < FEWEST_RUNS and word in ("equal", "not worse") and any(ends):
-            return OPEN
         return word if found.violation is None or word in (OPEN, "worse") else f"{word}{RETURN_ONLY}"
 
 

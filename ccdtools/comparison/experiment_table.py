@@ -174,10 +174,7 @@ class Experiment:
         if seeds == 1:
             lines.append("Of one seed intervals are of the runs alone, and say nothing of another training.")
         elif seeds < FEWEST_RUNS:
-            lines.append(
-                f"{seeds} seeds are too few for 95 % where returns are skewed, and to call any equal or not worse: "
-                f"take {FEWEST_RUNS} or more."
-            )
+            lines.append(f"{seeds} seeds are too few for 95 % where returns are skewed: take {FEWEST_RUNS} or more.")
         if any(cell.evidence.lost != (0, 0) for cell in self):
             lines.append("Returns are of the runs that did not diverge; a seed without a controller has lost all.")
         return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))

@@ -312,15 +312,8 @@ def test_the_interval_holds_chance_of_training_and_of_runs():
 
 
 def test_few_seeds_are_said_to_be_too_few_for_their_intervals():
-    assert "9 seeds are too few for 95 % where returns are skewed, and to call any equal" in repr(found(seeds=9))
+    assert "9 seeds are too few for 95 % where returns are skewed: take 10 or more." in repr(found(seeds=9))
     assert "too few" not in repr(found(seeds=10))
-
-
-def test_too_few_seeds_call_nothing_equal():
-    near = lambda design, rng: LinearFeedback([[LAWS["LQR"](design, rng).K[0, 0] + 1e-4]])  # noqa: E731
-    laws = {"LQR": LAWS["LQR"], "same": LAWS["LQR"], "near": near}
-    words = [[found(laws, seeds=seeds)[name].word for name in ("same", "near")] for seeds in (1, 9, 10)]
-    assert words == [["equal", "equal"], ["equal", "open"], ["equal", "equal"]]
 
 
 def test_the_interquartile_mean_does_not_follow_one_bad_seed():
