@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.tolerances import RESOLVED_SHARE
+from ccdtools.plants.tolerances import EXACT, RESOLVED_SHARE
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> tuple[float, Array]:
@@ -96,10 +96,10 @@ def warn_of_growth(plant: Plant, dt: float) -> None:
         z = damped / parts
         return np.asarray(np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24))
 
-    if (growth(plant.substeps) > 1).any():
+    if (growth(plant.substeps) > 1 + EXACT).any():
         fastest = damped[np.argmax(growth(plant.substeps))]
         fewest = max(plant.substeps, int(np.abs(damped).max() / 3))  # steps are stable within less than 3
-        enough = next(n for n in itertools.count(fewest) if (growth(n) <= 1).all())
+        enough = next(n for n in itertools.count(fewest) if (growth(n) <= 1 + EXACT).all())
         warnings.warn(
             f"the plant has a mode that settles within {dt / -fastest.real:.2g} s, which {plant.substeps} Runge–Kutta "
             f"parts of dt = {dt:g} s do not follow: steps grow. Pass X, U and W, by which parts are chosen, or give "
