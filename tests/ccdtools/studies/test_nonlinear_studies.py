@@ -107,8 +107,8 @@ def test_accuracy_and_method_are_those_of_the_model():
     assert coarse.substeps < fine.substeps
     assert fine.error.relative <= 1e-9 < coarse.error.relative <= 1e-3
     assert study(plant, method="collocation").model.method == "collocation"
-    with pytest.raises(InputError, match=r"accuracy: got 1e-12, where .* is reached"):
-        study(plant, accuracy=1e-12, method="rk4")
+    with pytest.raises(InputError, match=r"accuracy: got 1e-18, where .* is reached"):
+        study(plant, accuracy=1e-18, method="rk4")
 
 
 @pytest.mark.parametrize(
