@@ -33,12 +33,13 @@ def run_again(stem, folder):
 def same_numbers(before, after, rel):
     """Compare what two runs printed: the same words, and numbers that are close.
 
-    Of cuts that divide a search tree equally well, rounding chooses: its sizes differ a little between processors.
+    Of cuts that divide a search tree equally well, rounding chooses: on the kernels of five processors the same regions
+    make 243 to 305 nodes.
     """
     for one, other in zip(printed(before), printed(after), strict=True):
         texts = [TIME.sub("", text) for text in (one, other)]
         sizes = [[float(size.group()) for size in SIZE.finditer(text)] for text in texts]
-        assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+        assert sizes[1] == pytest.approx(sizes[0], rel=0.3)
         texts = [SIZE.sub("", text) for text in texts]
         assert NUMBER.sub("", texts[0]).split() == NUMBER.sub("", texts[1]).split()
         numbers = [[float(number) for number in NUMBER.findall(text)] for text in texts]
