@@ -47,8 +47,9 @@ ZOO: dict[str, tuple[int, int, bool, dict]] = {
     "InvertedPendulum-v5": (100_000, 1, True, {}),
     "Hopper-v5": (100_000, 1, True, {}),
 }  # fmt: skip
-# For the two problems of this library its Zoo has none: its defaults with 16 environments, and what the Zoo gives the
+# For the problems of this library its Zoo has none: its defaults with 16 environments, and what the Zoo gives the
 # pendulum with the discount of 0.99 that all others here have.
+PROBLEMS = ("suspension", "wall", "pendulum_on_cart")
 STEPS = 192_000
 SETTINGS: dict[str, tuple[int, dict]] = {
     "default": (16, {"n_steps": 128}),
@@ -106,7 +107,7 @@ def stated(name: str) -> tuple[CoDesignProblem, Array]:
     """Problem of the library and its fixed design."""
     if name == "wall":
         return Case().problem(), np.array(DESIGN)
-    problem = load_study("suspension").problem()
+    problem = load_study(name).problem()
     return problem, problem.design.centre
 
 
@@ -167,12 +168,12 @@ def print_problem(name: str, seeds: int, peer: bool) -> None:
 def main() -> None:
     """Print a row for each environment and library."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=[*ZOO, "suspension", "wall"])
+    parser.add_argument("--only", choices=[*ZOO, *PROBLEMS])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--peer", action="store_true", help="Stable-Baselines3, too")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    for name in ("suspension", "wall"):
+    for name in PROBLEMS:
         if options.only in (None, name):
             print_problem(name, options.seeds, options.peer)
     for name in ZOO if options.only is None else [options.only] if options.only in ZOO else []:

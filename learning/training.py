@@ -38,6 +38,10 @@ class TrainingRow:
         first has ended.
     judged : bool
         Whether so many have ended, and one in each environment: the first to end are often those that end early.
+    length : float
+        Steps of this update for each episode that ended in it; infinite where none did.
+    terminated : float
+        Part of these episodes that was terminated, not truncated: of a plant lost, of a task done; NaN where none was.
     update : UpdateStatistics
     """
 
@@ -46,6 +50,8 @@ class TrainingRow:
     episodes: int
     mean_return: float
     judged: bool
+    length: float
+    terminated: float
     update: UpdateStatistics
 
 
@@ -85,9 +91,12 @@ class Training:
         if not judged:
             return f"{text}; {last.episodes} episodes ended, too few to say how good it is"
         best = max(judged, key=lambda row: row.mean_return)
+        ends = (
+            f"; {last.terminated:.0%} of the last terminated, after {last.length:.3g} steps" if last.terminated else ""
+        )
         return (
             f"{text}; mean return of recent episodes {last.mean_return:.5g} at the end,"
-            f" {best.mean_return:.5g} at best (after {best.iteration} updates)"
+            f" {best.mean_return:.5g} at best (after {best.iteration} updates){ends}"
         )
 
 
@@ -222,8 +231,11 @@ class _Run:
         except BaseException:  # an interrupt, too
             agent.load_state_dict(kept.state_dict())
             raise
+        over = int((rollout.terminated | rollout.truncated).sum())
+        length = rollout.rewards.numel() / over if over else float("inf")
+        lost = int(rollout.terminated.sum()) / over if over else float("nan")
         samples = rollout.rewards.numel() + (result.rows[-1].samples if result.rows else 0)
-        row = TrainingRow(k, samples, len(returns), mean_return, judged, update)
+        row = TrainingRow(k, samples, len(returns), mean_return, judged, length, lost, update)
         best = kept if judged and mean_return > before else result.best
         self.result = replace(result, best=best, rows=(*result.rows, row))
         return row

@@ -152,7 +152,8 @@ class Ascent:
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
         if task.pathwise:
             self._see(scenario_tensors(problem, fewer_runs(SEEN_RUNS, problem.steps), rng))
-        self.env = EpisodeEnv(problem, self._p(), runs=fewer_runs(config.runs, problem.steps), rng=rng)
+        runs = fewer_runs(config.runs, problem.steps)
+        self.env = EpisodeEnv(problem, self._p(), runs=runs, rng=rng, divergence=problem.divergence)
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
             decay_exploration(agent, 1.0, config.ppo.final_std or LITTLE_EXPLORATION, 1.0)
         self.first_std = first_exploration(agent, config.ppo) if task.ppo else agent.log_std.exp().mean().item()

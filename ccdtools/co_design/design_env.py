@@ -14,7 +14,7 @@ from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_array, as_count, as_instance, as_vector, shown
+from ccdtools_ground.door import as_array, as_count, as_instance, as_positive, as_vector, shown
 
 if TYPE_CHECKING:
     from gymnasium import Env, spaces
@@ -44,8 +44,8 @@ class DesignEnv(Base):
 
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
-    and terminated where the objective has a terminal cost or the states leave `problem.divergence` times X. The sum of
-    its rewards is its return without the cost of the design.
+    and terminated where the objective has a terminal cost or the states diverge. The sum of its rewards is its return
+    without the cost of the design; where it diverges its last one counts for a whole episode, so that no early end pays.
 
     Parameters
     ----------
@@ -53,6 +53,8 @@ class DesignEnv(Base):
     design : (np,) array_like, optional
         The design of every episode. By default every reset draws a feasible one from the box, and the observation
         shows it. `reset(options={"design": p})` has the last word on an episode.
+    divergence : float
+        As for `EpisodeEnv`.
 
     Raises
     ------
@@ -62,12 +64,14 @@ class DesignEnv(Base):
 
     metadata = {"render_modes": []}  # noqa: RUF012  (the attribute that Gymnasium reads)
 
-    def __init__(self, problem: CoDesignProblem, design: ArrayLike | None = None) -> None:
-        self._episodes = _Episodes("DesignEnv", problem, design, 1)
+    def __init__(self, problem: CoDesignProblem, design: ArrayLike | None = None, *, divergence: float = 1.5) -> None:
+        self._episodes = _Episodes("DesignEnv", problem, design, 1, divergence)
         self.problem = problem
         self.observation_space, self.action_space = self._episodes.spaces()
         made: Any = type(self)
-        self.spec = EnvSpec("ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design})
+        self.spec = EnvSpec(
+            "ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design, "divergence": divergence}
+        )
 
     @property
     def design(self) -> Array:
@@ -143,7 +147,8 @@ class DesignVectorEnv(VectorBase):
     problem : CoDesignProblem
     num_envs : int
     design : (np,) array_like, optional
-        As for `DesignEnv`.
+    divergence : float
+        Both as for `DesignEnv`.
 
     Raises
     ------
@@ -153,9 +158,11 @@ class DesignVectorEnv(VectorBase):
 
     metadata = MODE
 
-    def __init__(self, problem: CoDesignProblem, num_envs: int, design: ArrayLike | None = None) -> None:
+    def __init__(
+        self, problem: CoDesignProblem, num_envs: int, design: ArrayLike | None = None, *, divergence: float = 1.5
+    ) -> None:
         self.num_envs = as_count("num_envs", num_envs)
-        self._episodes = _Episodes("DesignVectorEnv", problem, design, self.num_envs)
+        self._episodes = _Episodes("DesignVectorEnv", problem, design, self.num_envs, divergence)
         self.single_observation_space, self.single_action_space = self._episodes.spaces()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -225,10 +232,13 @@ class DesignVectorEnv(VectorBase):
 class _Episodes:
     """Episodes (n,) of a problem that step together, each at a design of its own."""
 
-    def __init__(self, name: str, problem: CoDesignProblem, design: ArrayLike | None, runs: int) -> None:
+    def __init__(
+        self, name: str, problem: CoDesignProblem, design: ArrayLike | None, runs: int, divergence: float
+    ) -> None:
         if spaces is None:
             raise InputError(name, "no Gymnasium", "it installed: pip install ccdtools[gymnasium]")
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+        self.divergence = as_positive("divergence", divergence)
         self.fixed = None if design is None else problem.design.check_feasible(design)
         first = np.full(problem.design.dim, np.nan) if self.fixed is None else self.fixed
         self.designs = np.tile(first, (runs, 1))
@@ -261,7 +271,8 @@ class _Episodes:
         self._x, self._e = x, e
         alike = (self.designs == self.designs[0]).all()
         at = self.designs[0] if alike else self.designs
-        self._stepper = Stepper.at(self.problem, torch.tensor(at, dtype=torch.float32))
+        stepper = Stepper.at(self.problem, torch.tensor(at, dtype=torch.float32))
+        self._stepper = stepper.within(self.divergence)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array]:
         """Rewards, terminated and truncated (n,) of actions (n, nu)."""
@@ -269,7 +280,8 @@ class _Episodes:
         now = torch.from_numpy(np.minimum(self._k, self.problem.steps - 1))
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
-            left = self._stepper.left(self._x).numpy()
+            lost = self._stepper.left(self._x)
+            rewards, left = self._stepper.paid(rewards, lost), lost.numpy()
             final = self._stepper.final_rewards(self._x)
         self._k += 1
         late = (self._k >= self.problem.steps) & ~left

@@ -16,7 +16,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_count, as_generator, as_instance
+from ccdtools_ground.door import as_count, as_generator, as_instance, as_positive
 from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
 from learning.rollout import collect
@@ -26,8 +26,8 @@ class EpisodeEnv:
     """Episodes of a problem that step together, for `learning.train`.
 
     Observations are (x, p), actions u, each (runs, ·) tensors. Episodes end together at the problem's time limit:
-    truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from its
-    own initial state.
+    truncated, or terminated where the objective has a terminal cost. One that diverges terminates, with the cost of its
+    last sample for a whole episode, so that no early end pays, and restarts from its own initial state.
 
     Parameters
     ----------
@@ -41,6 +41,9 @@ class EpisodeEnv:
         What is measured, with its noise.
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state.
+    divergence : float
+        Half-widths of X beyond which an episode has diverged. Of runs that go far, an agent that knows nothing yet would
+        learn little else than how far they went.
 
     Attributes
     ----------
@@ -61,8 +64,9 @@ class EpisodeEnv:
 
     def __init__(
         self, problem: CoDesignProblem, design: ArrayLike | Tensor, *, runs: int = 32, rng: np.random.Generator,
-        output: Any = None, history: int = 0,
+        output: Any = None, history: int = 0, divergence: float = 1.5,
     ) -> None:  # fmt: skip
+        self.divergence = as_positive("divergence", divergence)
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
         self.runs = as_count("runs", runs)
         self.given = problem.design.dim
@@ -94,7 +98,7 @@ class EpisodeEnv:
 
     def move(self, p: Tensor) -> None:
         """Change the design, before a reset."""
-        self._step = Stepper.at(self.problem, p.detach())
+        self._step = Stepper.at(self.problem, p.detach()).within(self.divergence)
         model = self.problem.model
         if self._measurement is not None:
             self._output = self._measurement.at(model.nx, model.nu, self._step.p.double().numpy())
@@ -137,6 +141,7 @@ class EpisodeEnv:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
         terminated = self._step.left(x)
+        reward = self._step.paid(reward, terminated)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
         final = self._step.final_rewards(x)
@@ -178,7 +183,7 @@ def network_input_gradient(
     problem: CoDesignProblem, agent: ActorCritic, v: Tensor, *, rng: np.random.Generator, runs: int, config: PPOConfig
 ) -> Tensor:
     """−∂/∂v (np,) of the PPO loss through design inputs, with constant states."""
-    env = EpisodeEnv(problem, to_design(problem, v), runs=runs, rng=rng)
+    env = EpisodeEnv(problem, to_design(problem, v), runs=runs, rng=rng, divergence=problem.divergence)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     rollout = collect(env, agent, steps=problem.steps, generator=generator)
     return loss_gradient(problem, agent, v, prepare(agent, rollout, config), config)

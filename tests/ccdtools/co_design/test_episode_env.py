@@ -114,6 +114,54 @@ def test_a_checkpoint_of_other_runs_or_another_design_is_refused(illustrative, t
     assert len(trained(2).rows) == 2
 
 
+def pole(x0, disturbance=None):
+    """Pole that falls within a second unless it is held."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    design = DesignSpace(["g"], [0.5], [1.5])
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], 4 * x[0] + p * (u + w)), design, dt=0.05)
+    return CoDesignProblem(
+        discretise(plant), X=([-1, -2], [1, 2]), U=(-2, 2), steps=200, scenarios=RandomStarts(x0, disturbance or Gaussian([0.2])),
+        objective=QuadraticObjective(Q=np.diag([1.0, 0.1]), R=[[0.1]]),
+    )  # fmt: skip
+
+
+def test_an_episode_that_diverges_costs_more_than_any_that_does_not():
+    problem = pole([[0.9, 1.9], [0.0, 0.0]], Gaussian([0.0]))
+    env = EpisodeEnv(problem, [1.0], runs=2, rng=np.random.default_rng(0))
+    starts = env.reset()
+    for _ in range(100):
+        observation, successor, reward, terminated, _ = env.step(torch.full((2, 1), 2.0))
+        if terminated.any():
+            break
+    row = int(terminated.nonzero()[0, 0])
+    last = successor[row, :2].numpy()
+    assert (np.abs(last) > [1.5, 3.0]).any() and (np.abs(last) < [2.0, 4.0]).all()
+    np.testing.assert_array_equal(observation[row], starts[row])
+    within = problem.steps * (problem.objective.Q @ [1.5, 3.0] @ [1.5, 3.0] + 0.1 * 4) / 2
+    assert -float(reward[row]) > within
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_pole_is_held_by_what_was_learned_from_nothing(seed):
+    problem = pole(Uniform([-0.1, -0.1], [0.1, 0.1]))
+    env = EpisodeEnv(problem, [1.0], runs=16, rng=np.random.default_rng(seed))
+    trained = train(env, env.agent(seed=seed), iterations=150, steps=64, generator=torch.Generator().manual_seed(seed))
+    returns = closed_loop_returns(problem, LearnedPolicy(trained.best, [1.0]), [1.0], np.random.default_rng(9), runs=64)
+    assert not returns.lost.any()
+    assert returns.summary.mean > -2  # LQR: −0.35
+    assert trained.rows[0].terminated == 1.0
+    assert trained.rows[-1].terminated < 0.1
+    assert trained.rows[0].length < trained.rows[-1].length
+
+
+def test_a_training_says_how_many_of_its_episodes_were_lost():
+    env = EpisodeEnv(pole([[0.5, 1.0]]), [1.0], runs=16, rng=np.random.default_rng(0))
+    trained = train(env, env.agent(), iterations=2, steps=64, generator=torch.Generator().manual_seed(0))
+    assert trained.rows[-1].terminated == 1.0
+    assert "; 100% of the last terminated, after" in trained.describe()
+
+
 def test_wrong_calls_name_their_argument(illustrative):
     problem = illustrative.problem()
     rng = np.random.default_rng(0)
@@ -122,6 +170,7 @@ def test_wrong_calls_name_their_argument(illustrative):
         (lambda: EpisodeEnv(problem, [9.0], rng=rng), "design"),
         (lambda: EpisodeEnv(problem, [1.0], runs=0, rng=rng), "runs"),
         (lambda: EpisodeEnv(problem, [1.0], rng=3), "rng"),
+        (lambda: EpisodeEnv(problem, [1.0], rng=rng, divergence=0.0), "divergence"),
         (lambda: EpisodeEnv(problem, [1.0], rng=rng, history=3), "output, history"),
         (lambda: EpisodeEnv(problem, [1.0], rng=rng, output=np.eye(2)), "output, history"),
     ):
