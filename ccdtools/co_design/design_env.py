@@ -45,7 +45,7 @@ class DesignEnv(Base):
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
     and terminated where the objective has a terminal cost or the states diverge. The sum of its rewards is its return
-    without the cost of the design; where it diverges its last one counts for a whole episode, so that no early end pays.
+    without the cost of the design; where it diverges the last one counts for a whole episode: no early end pays.
 
     Parameters
     ----------

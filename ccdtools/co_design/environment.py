@@ -42,8 +42,8 @@ class EpisodeEnv:
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state.
     divergence : float
-        Half-widths of X beyond which an episode has diverged. Of runs that go far, an agent that knows nothing yet would
-        learn little else than how far they went.
+        Half-widths of X beyond which an episode has diverged. Of runs that go far, an agent that knows nothing yet
+        would learn little else than how far they went.
 
     Attributes
     ----------
