@@ -246,7 +246,8 @@ class LoopStages:
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
             "report": [sentence, *report, *notes],
         }  # fmt: skip
-        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
+        drove = {f"update-{k}": one.agent for k, one in enumerate(deployment.updates, 1) if one.changes}
+        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent} | drove)
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""

@@ -282,7 +282,7 @@ def said(status, *, accepted=False, updates=(False, False), moved=True, chosen="
     text = refused(REFUSED, moved=moved)
     if accepted:
         text = proposed(chosen, REFUSED, "m = 1 kg", edges or {}, moved=moved)
-    tried = [OnlineUpdate(100, made(Status.BETTER if taken else Status.NO_GAIN)) for taken in updates]
+    tried = [OnlineUpdate(100, made(Status.BETTER if taken else Status.NO_GAIN), None) for taken in updates]
     return account(3, delivery(status, **others), tried, Redesign(accepted, moved, text), "m = 1 kg")
 
 
