@@ -18,7 +18,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from deployed_changes import changes
+from deployed_changes import served
 from joblib import Parallel, delayed
 from scipy import stats
 
@@ -148,10 +148,10 @@ def outcome(seed: int, runs: int) -> Outcome | None:
             return None
         entries = json.loads((path / "results.json").read_text())["generations"]
         delivery = entries[-1]["delivery"]
-        updates = {name: pair for name, *pair in changes(path)}.get("updates of generation 1")
-    if updates is None or not delivery["carried"]:
+        first, *updates = [policy for name, policy in served(path) if name.endswith("of generation 1")]
+    if not updates or not delivery["carried"]:
         return None
-    after, before = (case.returns(policy, runs) for policy in updates)
+    after, before = (case.returns(policy, runs) for policy in (updates[-1], first))
     change = 100 * (after - before) / abs(before.mean())
     margin = stats.t.ppf(0.975, runs - 1) * change.std(ddof=1) / np.sqrt(runs)
     scale = 100 / delivery["size"]

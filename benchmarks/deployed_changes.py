@@ -1,9 +1,10 @@
-"""Every change that finished runs left deployed, on every distribution that it serves: by a simulator of its own.
+"""Every change of what was in service, on every distribution that it served: by a simulator of its own.
 
 ``python benchmarks/deployed_changes.py FOLDER ... [--runs 2000] [--seed 9]`` drives the policies before and after each
-accepted update and redesign on the real plant, in pairs, and prints a row per change and distribution. Of the package
-it takes the policies (states to inputs) and the roads that a driver makes; plants, costs and limits are stated here a
-second time, or in `gallery.oracle`. The last line counts the changes that are worse by more than 0.5 % beyond chance.
+redesign, update and roll-back on the real plant, in pairs, and prints a row per change and distribution: those that a
+later deployment took back stand there as well, and what came after them. Of the package it takes the policies (states
+to inputs) and the roads that a driver makes; plants, costs and limits are stated here a second time, or in
+`gallery.oracle`. The last line counts the changes that are worse by more than 0.5 % beyond chance.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ from gallery.reference import STATEMENTS
 from scipy import stats
 from scipy.linalg import solve_discrete_are
 
-from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.controllers import LearnedPolicy, load_policy
 from ccdtools.studies import RunFolder
 from ccdtools.vehicles.roads import GeneratedRoad
 
@@ -157,23 +159,46 @@ def box(truth: Truth, design: Array, runs: int, rng: np.random.Generator) -> tup
     return kept, w[: len(kept)]
 
 
-def changes(folder: Path) -> Iterator[tuple[str, LearnedPolicy, LearnedPolicy]]:
-    """What each generation left deployed, beside what was deployed before: name, after, before."""
+def served(folder: Path) -> list[tuple[str, LearnedPolicy]]:
+    """Every policy that was ever in service, in the order of time, and by what it came there."""
     run = RunFolder(folder)
     entries = json.loads((folder / "results.json").read_text())["generations"]
-    deployed = None
+    found: list[tuple[str, LearnedPolicy]] = []
+    kept = 0  # where the deployment begins that the next one is compared with
     for entry in entries:
         g = entry["generation"]
-        found, end = run.read_stage(f"codesign-{g}"), run.read_stage(f"deployment-{g}")
-        designed = LearnedPolicy(found.networks["agent"], found.arrays["design"])
-        after = LearnedPolicy(end.networks["agent"], found.arrays["design"])
-        if not entry["delivery"]["replaces"]:
-            continue
-        if deployed is not None and entry["redesign"]["accepted"]:
-            yield f"redesign of generation {g}", designed, deployed
-        if any(update["accepted"] for update in entry["online_updates"]):
-            yield f"updates of generation {g}", after, designed
-        deployed = after
+        of = f"of generation {g}"
+        codesign, deployment = run.read_stage(f"codesign-{g}"), run.read_stage(f"deployment-{g}")
+        design = codesign.arrays["design"]
+        begun = len(found)
+        found.append((f"design {of}", LearnedPolicy(codesign.networks["agent"], design)))
+        for k, update in enumerate(entry["online_updates"], 1):
+            if f"update-{k}" in deployment.networks:  # in service, if only for its trial
+                before = found[-1][1]
+                found.append((f"update {k} {of}", LearnedPolicy(deployment.networks[f"update-{k}"], design)))
+                found += [] if update["accepted"] else [(f"update {k} {of}, taken back", before)]
+        delivery = entry["delivery"]
+        if delivery["replaces"]:
+            kept = begun
+        else:
+            back = found[kept if delivery["carried"] else begun - 1][1]
+            found.append((f"what followed the deployment {of}, rolled back", back))
+    if not same(load_policy(folder / "policy.safetensors"), found[-1][1]):
+        raise ValueError(f"{folder}: the policy left in service is not the last one found there")
+    return found
+
+
+def same(one: LearnedPolicy, other: LearnedPolicy) -> bool:
+    """Whether two policies have the same design and weights."""
+    weights = zip(one.agent.state_dict().values(), other.agent.state_dict().values(), strict=True)
+    return np.array_equal(one.design, other.design) and all(bool((a == b).all()) for a, b in weights)
+
+
+def changes(folder: Path) -> Iterator[tuple[str, LearnedPolicy, LearnedPolicy]]:
+    """Every change of what was in service, those taken back included: name, after, before."""
+    for (_, before), (name, after) in pairwise(served(folder)):
+        if not same(after, before):
+            yield name, after, before
 
 
 def rows(folder: Path, runs: int, seed: int) -> Iterator[tuple[str, ...]]:

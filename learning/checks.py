@@ -78,7 +78,8 @@ def as_samples(inputs: Any, targets: Any, *, least: int = 20) -> tuple[Array, Ar
     y = as_floats("targets", targets)
     y = y[:, None] if y.ndim == 1 else y
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < least or not (x.shape[1] and y.shape[1]):
-        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", f"(n, d), (n, m), n ≥ {least}")
+        size = f", {len(x)} sample(s) of {x.shape[1]} feature(s)" if x.ndim == 2 else ""
+        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}{size}", f"(n, d), (n, m), n ≥ {least}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("inputs, targets", "values that are not finite", "finite samples")
     return x, y

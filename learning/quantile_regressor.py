@@ -60,29 +60,30 @@ class QuantileRegressor:
         Raises
         ------
         InputError
-            As `fit_quantiles`, and as `QuantileConfig`.
+            As `fit_quantiles`, and as `QuantileConfig`; or if X is sparse or y is None.
         """
+        inputs, targets = _dense("X", X), _dense("y", y)
         params = self.get_params()
         state = params.pop("random_state")
         try:
             rng = np.random.default_rng(state)
         except (TypeError, ValueError):
             raise InputError("random_state", shown(state), "a whole number or a numpy.random.Generator") from None
-        self.network_ = fit_quantiles(X, y, rng=rng, config=QuantileConfig(**params))
+        self.network_ = fit_quantiles(inputs, targets, rng=rng, config=QuantileConfig(**params))
         self.n_features_in_ = len(self.network_.input_offset)
-        self._vector = np.ndim(y) == 1
+        self._vector = targets.ndim == 1
         return self
 
     def predict(self, X: ArrayLike) -> Array:
         """Quantiles (n, levels), or (n, levels, m) where the targets of the fit were (n, m)."""
         if not hasattr(self, "network_"):
-            raise InputError("self", "a QuantileRegressor without a fit", "one after `fit`")
-        quantiles = self.network_.predict(X)
+            raise _not_fitted()
+        quantiles = self.network_.predict(_dense("X", X))
         return quantiles[..., 0] if self._vector else quantiles
 
     def score(self, X: ArrayLike, y: ArrayLike) -> float:
         """Mean pinball loss, negative: more is better."""
-        x, targets = as_samples(X, y, least=1)
+        x, targets = as_samples(_dense("X", X), _dense("y", y), least=1)
         quantiles = self.predict(x).reshape(len(x), len(self.network_.levels), -1)
         if targets.shape[1] != quantiles.shape[2]:
             raise InputError("y", f"{targets.shape[1]} targets", f"{quantiles.shape[2]}, as in the fit")
@@ -96,3 +97,35 @@ class QuantileRegressor:
             estimator_type="regressor", target_tags=TargetTags(required=True, multi_output=True),
             regressor_tags=RegressorTags(), input_tags=InputTags(),
         )  # fmt: skip
+
+
+def _dense(name: str, values: Any) -> Any:
+    """Array of what numpy takes for one, in the words of scikit-learn where it does not."""
+    if values is None:
+        raise InputError(name, "None", "targets", "Fit requires y to be passed, but the target y is None.")
+    if hasattr(values, "toarray"):
+        raise InputError(name, "a sparse array", "a dense one", "Sparse data is not supported: pass X.toarray().")
+    array = np.asarray(values)
+    if np.iscomplexobj(array):
+        raise InputError(name, "complex numbers", "real ones", "Complex data not supported.")
+    if array.dtype == object:
+        try:
+            array = array.astype(float)
+        except (TypeError, ValueError) as error:
+            raise InputError(name, f"objects ({error})", "numbers") from None
+    if name == "X" and (array.ndim != 2 or not array.shape[1]):
+        few = f"0 feature(s) (shape={array.shape}) while a minimum of 1 is required."
+        cure = few if array.ndim == 2 else "Reshape your data: X.reshape(-1, d)."
+        raise InputError(name, f"shape {array.shape}", "(n, d)", cure)
+    return array
+
+
+def _not_fitted() -> InputError:
+    """Error before `fit`, which scikit-learn knows as its own where it is installed."""
+    said = ("self", "a QuantileRegressor without a fit", "one after `fit`")
+    try:
+        from sklearn.exceptions import NotFittedError
+    except ImportError:
+        return InputError(*said)
+    kind: type[InputError] = type("NotFittedInputError", (InputError, NotFittedError), {})
+    return kind(*said)

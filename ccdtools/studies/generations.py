@@ -77,6 +77,7 @@ class Generations:
         self.evaluation = Evaluation(study, config, as_count("seed", seed, least=0))
         self.evaluation.held_out  # noqa: B018  (raises if fresh runs cannot be drawn)
         self.compute = LoopStages(self.evaluation, progress)
+        self._real = study.real
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
@@ -86,6 +87,7 @@ class Generations:
         history = [self._begin()]
         end = None
         for generation in range(1, self.generations + 1):
+            self._meet(generation)
             found = self._designed(generation, twin, history)
             end = stopped(found)
             if end is not None:
@@ -104,6 +106,14 @@ class Generations:
         contents = self._results(history, beyond, served) | ({} if end is None else {"stopped": jsonable(end)})
         self.folder.write_json("results.json", contents)
         return contents
+
+    def _meet(self, generation: int) -> None:
+        """Go on with the real plant of a generation."""
+        study = self.evaluation.study
+        met = self._real.met_by(generation)
+        if met is not study.real:
+            self.evaluation = replace(self.evaluation, study=replace(study, real=met))
+            self.compute = replace(self.compute, evaluation=self.evaluation)
 
     def _results(self, history: Sequence[GenerationRecord], beyond: Stage, served: Stage) -> dict[str, Any]:
         stages = [stage for record in history for stage in record.stages.values()]
@@ -163,6 +173,8 @@ class Generations:
             last.served, last.trust, twin,
         )  # fmt: skip
         log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
+        if deployed.values.get("changed"):  # what was logged before was of another plant
+            twin, self._told = DigitalTwin(twin.model, scale=self.evaluation.problem.state_scale), []
         twin, identified = self._identified(generation, log, twin)
         known = twin.logs
         learned = self._stage(

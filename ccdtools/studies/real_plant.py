@@ -13,7 +13,7 @@ from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.studies.tolerances import MINIMUM_LOG
-from ccdtools_ground.door import as_count, as_flag, as_mapping, as_vector, has_method, shown
+from ccdtools_ground.door import as_count, as_flag, as_instance, as_mapping, as_vector, has_method, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,6 +39,10 @@ class RealPlant(Immutable):
     road : bool
         Whether the one disturbance is the vertical velocity of the road under a wheel [m/s]. Then the command line may
         replace it by a recorded or a generated drive (``--road``, ``--speed``, ``--driver``), and not otherwise.
+    later : sequence of RealPlant
+        What the second, third, … generation meets, by wear or in other surroundings; the last one stays. The loop is
+        not told: with `drift` of `StudyConfig` a deployment in which nothing was redesigned tells it, and what was
+        logged before is left out from there on.
 
     Raises
     ------
@@ -53,6 +57,7 @@ class RealPlant(Immutable):
     steps: int
     held_out: Mapping[str, Disturbance] | None = None
     road: bool = False
+    later: tuple[RealPlant, ...] = ()
 
     def __post_init__(self) -> None:
         self._set(plant=as_simulable(self.plant, "real.plant"))
@@ -76,6 +81,21 @@ class RealPlant(Immutable):
                     raise InputError("real.held_out", shown(name), "names of one line")
                 check_disturbance(f"real.held_out[{name!r}]", disturbance, self.plant)
             self._set(held_out=named)
+        self._check_later()
+
+    def _check_later(self) -> None:
+        if not isinstance(self.later, list | tuple):
+            raise InputError("real.later", shown(self.later), "a sequence of RealPlant")
+        for one in self.later:
+            as_instance("real.later", one, RealPlant, "a sequence of RealPlant")
+            for name in ("runs", "steps"):
+                if getattr(one, name) != getattr(self, name):
+                    raise InputError("real.later", f"{getattr(one, name)} {name}", f"{getattr(self, name)}, as before")
+        self._set(later=tuple(self.later))
+
+    def met_by(self, generation: int) -> RealPlant:
+        """Real plant that a generation meets, from 1 on."""
+        return (self, *self.later)[min(generation - 1, len(self.later))]
 
     @property
     def fresh(self) -> dict[str, Disturbance]:

@@ -164,6 +164,7 @@ def measured(
 def judge_deployment(
     deployed: Deployed, former: Deployed | None, current: Deployable | None, pairing: Pairing,
     predicted: Callable[[int | None], Summary], *, redesigned: bool, limits: Limits | None = None,
+    other_plant: bool = False,
 ) -> Delivery:  # fmt: skip
     """Whether a deployment stays, compared with the one before.
 
@@ -181,6 +182,8 @@ def judge_deployment(
     redesigned : bool
     limits : callable, optional
         (runs of the candidate, runs of the current one) → limits that are broken.
+    other_plant : bool
+        Whether the plant has changed, so that nothing compares the two.
     """
     first, last = deployed.stretch(deployed.designed)
     own = deployed.part(first, last)
@@ -199,11 +202,12 @@ def judge_deployment(
     candidates.sort(key=lambda one: deployed.stretch(one)[0] - deployed.stretch(one)[1])  # the longest stretch first
     asked = Asked.NO_LOSS if redesigned else Asked.NO_SURE_LOSS
     found = [measured(pairing, one, deployed, reference, former, asked, limits) for one in candidates]
-    evidence = [one for one in found if one is not None]
+    evidence = [] if other_plant else [one for one in found if one is not None]
     for k, one in enumerate(evidence[1:], 1):
         sure = np.isfinite(one.gain.ci95).all()
         evidence[k] = replace(one, asked=Asked.NO_SURE_LOSS if sure else Asked.SHOWN)
-    alone = (Status.NOT_COMPARED, "no samples in common") if candidates else (Status.NOT_WORSE, "the same policy")
+    why = "the plant has changed" if other_plant else "no samples in common"
+    alone = (Status.NOT_COMPARED, why) if candidates else (Status.NOT_WORSE, "the same policy")
     verdict = decide(evidence) if evidence else Verdict(alone[0], reason=alone[1])
     size = evidence[0].size if evidence else size
     return Delivery(expected, returns, agreement, verdict, size, carried and bool(evidence), former.generation)

@@ -13,6 +13,7 @@ from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.imitation import first_policy
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.evidence.drift import DriftStatus
 from ccdtools.evidence.evidence import Pairing, Violation, summary_of
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
@@ -218,12 +219,17 @@ class LoopStages:
         redesign = Redesign(**found.values["decided"]) if "decided" in found.values else None
         redesigned = redesign is not None and redesign.accepted
         known = () if twin is None else twin.logs
+        moved = redesign is not None and redesign.accepted and redesign.moved
+        drift = None
+        if config.drift is not None and twin is not None and known and not log.diverged.all():
+            drift = drift_of_log(twin, log, level=config.drift)
+        changed = drift is not None and drift.status is DriftStatus.DRIFT and not redesigned  # else by what is new
         delivery = judge_deployment(
             deployed_of(generation, designed, deployment.agent, log, deployment.changes), former, current,
             Pairing(study.objective, study.judged_in, evaluation.window),
             lambda steps: predicted(evaluation, designed, known, steps), redesigned=redesigned, limits=self._violation,
+            other_plant=changed,
         )  # fmt: skip
-        moved = redesign is not None and redesign.accepted and redesign.moved
         kept = delivery.agreement.kept if moved else None  # only a design that moved shows how errors follow the design
         place = evaluation.problem.design.describe(designed.design)
         sentence = account(generation, delivery, deployment.updates, redesign, place)
@@ -236,17 +242,17 @@ class LoopStages:
         if twin is not None and known and not log.diverged.all():
             watched["outside"], excess = outside_data(twin, log)
             notes += _left(watched["outside"], excess, (*study.plant.state_names, *study.plant.input_names))
-        if config.drift is not None and twin is not None and known and not log.diverged.all():
-            drift = drift_of_log(twin, log, level=config.drift)
-            notes.append(str(drift))
-            watched["drift"] = drift.as_dict()
+        if drift is not None:
+            notes += [str(drift), "what was logged before is left out from here on"][: 1 + changed]
+            watched |= {"drift": drift.as_dict(), "changed": changed}
         values = watched | ({"notes": notes} if notes else {}) | {
             "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
             "deployed_return": asdict(summary_of(log, study.objective)),
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
             "report": [sentence, *report, *notes],
         }  # fmt: skip
-        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
+        drove = {f"update-{k}": one.agent for k, one in enumerate(deployment.updates, 1) if one.changes}
+        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent} | drove)
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""

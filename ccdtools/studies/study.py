@@ -183,7 +183,8 @@ class Study(Immutable):
             if kinds[0] != kinds[1]:
                 got, expected = (f"{'continuous' if kind else 'discrete'}, dt = {dt:g} s" for dt, kind in kinds)
                 raise InputError("unknown", got, f"{expected}, as the plant")
-        self._check_real(as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
+        for real in (as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"), *self.real.later):
+            self._check_real(real)
 
     def _check_kinds(self) -> None:
         for argument in ("name", "title"):

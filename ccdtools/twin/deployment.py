@@ -292,7 +292,7 @@ class _DeployedPolicy:
             candidate, self.deployed, self._held_out(), self.served.nominal(self.judged_by),
             lambda size, _: config.least * size, self._other_distributions,
         )  # fmt: skip
-        self.updates.append(OnlineUpdate(self._logged, verdict))
+        self.updates.append(OnlineUpdate(self._logged, verdict, agent))
         if verdict.replaces and self.config.trial is not None:
             self.candidate = candidate
         elif verdict.replaces:

@@ -14,6 +14,7 @@ from ccdtools.tolerances import NOT_WORSE
 from ccdtools.twin.distributions import UPDATED
 from ccdtools.twin.trial import TrialConfig
 from ccdtools_ground.door import as_count, as_instance, as_number, as_share
+from learning.networks import ActorCritic
 from learning.quantile import QuantileConfig
 
 ONLINE_TRAINING = CoDesignConfig(
@@ -81,6 +82,8 @@ class OnlineUpdate(Immutable):
         Samples logged before it.
     verdict : Verdict
         On the held-out parts of the log, and on every other distribution that the policy serves.
+    agent : ActorCritic
+        Candidate.
     trial : Trial, optional
         Of a candidate that the verdict accepts, on the real plant.
     ended : int
@@ -89,6 +92,7 @@ class OnlineUpdate(Immutable):
 
     after: int
     verdict: Verdict
+    agent: ActorCritic
     trial: Trial | None = None
     ended: int = 0
 

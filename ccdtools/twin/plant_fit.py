@@ -20,6 +20,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import in_problem, residuals
 from ccdtools.twin.state_errors import StateErrors
+from ccdtools.twin.stuck_sensors import warn_of_stuck
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
 from ccdtools_ground.door import (
     as_array,
@@ -438,4 +439,6 @@ def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
     asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)
     if sizes != asked:
         raise InputError(argument, f"{sizes[0]} outputs and {sizes[1]} inputs", f"{asked[0]} and {asked[1]}")
+    names = getattr(stated, "output_names", [f"y{j + 1}" for j in range(sizes[0])])
+    warn_of_stuck(argument, found.outputs, found.inputs, names, lambda: np.sqrt(np.diag(kalman_filter(problem, p).V)))
     return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -14,6 +15,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
 from ccdtools.exceptions import InputError, LimitWarning
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.stuck_sensors import warn_of_stuck
 from ccdtools_ground.door import as_finite, as_floats, as_instance, shown
 
 if TYPE_CHECKING:
@@ -130,8 +132,9 @@ def errors_of(logs: Logs, model: Model | None) -> list[Residuals]:
 
 
 def in_problem(problem: CoDesignProblem, logs: Sequence[Residuals]) -> None:
-    """Warn of logs that may be in other coordinates: most of their states lie outside X."""
-    for log in logs:
+    """Warn of logs whose states mostly lie outside X, or that a stuck sensor has told."""
+    for i, log in enumerate(logs):
+        warn_of_stuck(f"logs[{i}]", log.x, log.u, problem.state_names, partial(_disturbed, problem, log.p))
         inside = problem.state_limits(log.p).contains(log.x.reshape(-1, problem.model.nx)).mean()
         if inside < 0.5:
             warnings.warn(
@@ -139,6 +142,12 @@ def in_problem(problem: CoDesignProblem, logs: Sequence[Residuals]) -> None:
                 "that is about a rest, deviations from it.",
                 LimitWarning, stacklevel=3,
             )  # fmt: skip
+
+
+def _disturbed(problem: CoDesignProblem, p: Array) -> Array:
+    """Deviations (nx,) of what a disturbance adds to the states in a step."""
+    E = problem.model.matrices(p)[2]
+    return np.sqrt(np.maximum(np.diag(E @ problem.moments[2] @ E.T), 0.0))
 
 
 def of_linearisation(model: Model, errors: Residuals) -> Residuals:

@@ -1,6 +1,8 @@
 """QuantileRegressor keeps scikit-learn's conventions, without scikit-learn, and holds its level with few samples."""
 
 import copy
+import sys
+import types
 
 import numpy as np
 import pytest
@@ -68,9 +70,47 @@ def test_a_seed_that_is_none_is_named(state):
 
 def test_samples_without_inputs_or_targets_are_refused():
     x, y = samples(50, 0)
-    for given in ((x[:, :0], y), (x, y[:, None][:, :0])):
-        with pytest.raises(InputError, match="inputs, targets: got shapes"):
+    for given, words in (
+        ((x[:, :0], y), r"X: got shape \(50, 0\).* 0 feature"),
+        ((x, y[:, None][:, :0]), "got shapes"),
+    ):
+        with pytest.raises(InputError, match=words):
             QuantileRegressor().fit(*given)
+
+
+class Sparse:
+    """What scipy and scikit-learn know a sparse array by."""
+
+    def toarray(self):
+        return np.zeros((50, 2))
+
+
+def test_what_is_no_array_of_real_numbers_is_refused_in_the_words_that_scikit_learn_looks_for():
+    x, y = samples(50, 0)
+    cases = [
+        ((Sparse(), y), "X: got a sparse array.*Sparse data is not supported"),
+        ((x + 1j, y), "X: .*Complex data not supported"), ((x, None), "requires y to be passed"),
+        ((np.full((50, 2), {}), y), "X: got objects"),
+        ((x[:, 0], y), r"X: got shape \(50,\).*Reshape your data"), ((x[:1], y[:1]), r"1 sample\(s\) of \d feature"),
+    ]  # fmt: skip
+    for given, words in cases:
+        with pytest.raises(InputError, match=words):
+            QuantileRegressor(steps=2, hidden=(4,)).fit(*given)
+    numbers = QuantileRegressor(steps=2, hidden=(4,)).fit(x.astype(object), y)
+    with pytest.raises(InputError, match="Reshape your data"):
+        numbers.predict(x[0])
+
+
+def test_before_a_fit_the_error_is_one_that_scikit_learn_knows_where_it_is_installed(monkeypatch):
+    exceptions = types.ModuleType("sklearn.exceptions")
+    exceptions.NotFittedError = type("NotFittedError", (ValueError, AttributeError), {})
+    monkeypatch.setitem(sys.modules, "sklearn", types.ModuleType("sklearn"))
+    monkeypatch.setitem(sys.modules, "sklearn.exceptions", exceptions)
+    with pytest.raises(exceptions.NotFittedError, match="after `fit`"):
+        QuantileRegressor().predict(np.zeros((3, 2)))
+    monkeypatch.setitem(sys.modules, "sklearn.exceptions", None)
+    with pytest.raises(InputError, match="after `fit`"):
+        QuantileRegressor().predict(np.zeros((3, 2)))
 
 
 def test_arguments_are_checked_by_fit_and_unknown_ones_refused():

@@ -567,3 +567,13 @@ def test_of_states_wrong_logs_are_named():
     ]:
         with pytest.raises(InputError, match=words):
             fit_plant(problem, given, plant=spring(names=("gain",)))
+
+
+def test_a_sensor_that_stuck_is_named_in_logs_of_outputs_and_of_states(log):
+    outputs, states = np.array(log.outputs), np.array(log.states)
+    outputs[2, 10:25] = outputs[2, 10]
+    with pytest.warns(UserWarning, match=r"logs\[0\]: y1 repeats .* over 15 samples, from 10 of run 2"):
+        fit_plant(stated(), OutputLog(outputs, log.inputs, P))
+    states[1, 20:, 1] = states[1, 20, 1]
+    with pytest.warns(UserWarning, match=r"logs\[0\]: x2 repeats .*, from 20 of run 1"):
+        fit_plant(replace(stated(), measurement=None), replace(log, states=states, outputs=None))

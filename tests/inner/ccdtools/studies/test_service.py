@@ -63,9 +63,9 @@ def second(trajectory, changes=(), designed=B):
     return Deployed(2, designed, after, trajectory, changes)
 
 
-def judged(deployed, former, current=A, *, redesigned=True, predicted=PREDICTED, pairing=PAIRING, limits=None):
+def judged(deployed, former, current=A, *, redesigned=True, predicted=PREDICTED, pairing=PAIRING, **others):
     return judge_deployment(
-        deployed, former, current, pairing, lambda _: predicted, redesigned=redesigned, limits=limits
+        deployed, former, current, pairing, lambda _: predicted, redesigned=redesigned, **others
     )  # fmt: skip
 
 
@@ -282,7 +282,7 @@ def said(status, *, accepted=False, updates=(False, False), moved=True, chosen="
     text = refused(REFUSED, moved=moved)
     if accepted:
         text = proposed(chosen, REFUSED, "m = 1 kg", edges or {}, moved=moved)
-    tried = [OnlineUpdate(100, made(Status.BETTER if taken else Status.NO_GAIN)) for taken in updates]
+    tried = [OnlineUpdate(100, made(Status.BETTER if taken else Status.NO_GAIN), None) for taken in updates]
     return account(3, delivery(status, **others), tried, Redesign(accepted, moved, text), "m = 1 kg")
 
 
@@ -341,3 +341,9 @@ def test_the_headline_says_whose_updates_were_rolled_back():
     assert "updates of generation 1" in _phrase({}, generation, moved=False)
     generation["delivery"] = delivery(Status.WORSE).as_dict()
     assert not _brought(generation)
+
+
+def test_deployments_of_two_plants_are_not_compared():
+    one, other = first(log(1.0)), second(log(2.0))
+    assert status(other, one) is Status.WORSE
+    assert status(other, one, other_plant=True) is Status.NOT_COMPARED

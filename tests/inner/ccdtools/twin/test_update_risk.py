@@ -74,7 +74,9 @@ def test_a_candidate_that_breaks_the_limits_is_not_deployed_and_says_why(illustr
     training_gives(monkeypatch, clone(illustrative))
     agent = weakened(clone(illustrative))
     config = replace(ONLINE, updates=1, judged=100, accept_loss=1.0)
-    assert deployed(illustrative, agent, runs=60, steps=40, config=config).updates[0].accepted
+    found = deployed(illustrative, agent, runs=60, steps=40, config=config)
+    assert found.updates[0].accepted
+    assert found.updates[0].agent is found.agent
     monkeypatch.setattr("ccdtools.twin.judge.violation", lambda *_: broken)
     done = deployed(illustrative, agent, runs=60, steps=40, config=config)
     assert not done.changes

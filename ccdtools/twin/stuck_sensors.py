@@ -1,0 +1,68 @@
+"""Sensors that repeat a value more often than their noise allows."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.stats import norm
+
+from ccdtools.arrays import Array
+
+
+def warn_of_stuck(
+    argument: str, signals: Array, inputs: Array, names: Sequence[str], deviations: Callable[[], Array], *,
+    level: float = 1e-6, rounding: float = 1e-12,
+) -> None:  # fmt: skip
+    """Warn of signals that repeat a value more often than chance does in one of 1 / `level` logs.
+
+    Gaussian noise of deviation σ, rounded to steps of q, repeats a value with probability 2 Φ(q / 2σ) − 1 at most,
+    wherever the signal is. So L repeats begin at one of N samples with probability N (2 Φ(q / 2σ) − 1)^L at most; q is
+    the least difference of two values of the signal, none of a signal of one value. The change into the repeats, or out
+    of them takes the place of a larger σ: a plant without its stated noise comes to rest in small steps. Steps in which
+    nothing else changes either are not counted.
+
+    Parameters
+    ----------
+    signals : (n, T, m) array
+        NaN where a sensor told nothing.
+    inputs : (n, T, nu) array
+    deviations : callable
+        () → (m,) array of σ, of what a sample brings beyond all before it; asked only if a value is repeated.
+    rounding : float
+        Smaller differences, in parts of the largest value, are of rounding.
+    """
+    still = np.diff(np.concatenate([signals, inputs], axis=2), axis=1) == 0
+    repeats = still[:, :, : signals.shape[2]] & ~still.all(axis=2, keepdims=True)
+    if not repeats.any():
+        return
+    sigma = deviations()
+    for j in map(int, np.flatnonzero(repeats.any(axis=(0, 1)) & (sigma > 0))):
+        run, first, length = _longest(repeats[:, :, j])
+        seen = signals[:, :, j][np.isfinite(signals[:, :, j])]
+        steps = np.diff(np.unique(seen))
+        rounded = rounding * np.abs(seen).max()
+        step = max(steps.min() if len(steps) else 0.0, rounded)
+        around = np.abs(np.diff(signals[run, max(first - 1, 0) : first + length + 2, j])[[0, -1]])
+        moves = min(sigma[j], np.fmax.reduce(around) - rounded) if around.any() else sigma[j]
+        if not moves > 0:
+            continue
+        chance = repeats[:, :, j].size * (2 * norm.cdf(step / (2 * moves)) - 1) ** length
+        if chance <= level:
+            said = f"{names[j]} repeats {signals[run, first, j]:g} over {length + 1} samples, from {first} of run {run}"
+            expected = f"the stated noise leaves that to chance in less than one of {1 / level:.0e} logs"
+            cure = "A sensor is stuck, or coarser than its noise: leave it out, or put NaN where it says nothing."
+            warnings.warn(f"{argument}: {said}; {expected}. {cure}", UserWarning, stacklevel=4)
+
+
+def _longest(repeats: Array) -> tuple[int, int, int]:
+    """Run, first sample and number of the longest row of repeats (n, T)."""
+    length = np.zeros(len(repeats), dtype=int)
+    longest = (0, 0, 0)
+    for k in range(repeats.shape[1]):
+        length = np.where(repeats[:, k], length + 1, 0)
+        run = int(np.argmax(length))
+        if length[run] > longest[2]:
+            longest = (run, k + 1 - int(length[run]), int(length[run]))
+    return longest
