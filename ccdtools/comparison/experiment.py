@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.budgets import PROBES
-from ccdtools.comparison.c_step_time import c_step_time
+from ccdtools.comparison.c_step_time import NONE, c_step_time
 from ccdtools.comparison.comparison import step_times
 from ccdtools.comparison.content import content_of
 from ccdtools.comparison.experiment_header import conditions_in_words, described
@@ -107,7 +107,7 @@ class Plan:
                 runs[at] = run, step_times(controller, run.states[0], scenario, p)
             except Exception as error:
                 refused.append(_reason(error, at))
-        in_c = c_step_time(controller, next(iter(runs.values()))[0]) if self.compiled and runs else float("nan")
+        median, most = c_step_time(controller, next(iter(runs.values()))[0]) if self.compiled and runs else NONE
         cells = tuple(self._cell(names, scenarios[names], *found) for names, found in runs.items())
         return Record(
             *task,
@@ -117,7 +117,8 @@ class Plan:
             refused="; ".join(refused),
             remark=str(getattr(controller, "remark", "")),
             about=described(given),
-            c_step_time=in_c,
+            c_step_time=median,
+            c_step_time_99=most,
         )
 
     def _cell(self, names: tuple[str, str], scenario: Scenario, run: Trajectory, times: Array) -> Cell:
