@@ -80,7 +80,7 @@ class Plan:
         found = {}
         for name, given in self.scenarios.items():
             scenario = given if isinstance(given, Scenario) else _drawn(name, given, _generator(seed, "scenario", name))
-            as_instance(f"scenarios[{name!r}]", scenario, Scenario, "a Scenario, or a function rng -> Scenario")
+            as_instance(_named("scenarios", name), scenario, Scenario, "a Scenario, or a function rng -> Scenario")
             for of_plant, plant in self.plants.items():
                 found[name, of_plant] = scenario if plant is None else replace(scenario, plant=plant)
         return found
@@ -152,7 +152,8 @@ class Plan:
         for names, scenario in scenarios.items():
             followed = (getattr(scenario.reference, name, None) for name in ("x", "u"))
             noise = getattr(scenario.output, "noise", None)
-            parts += [names, scenario.x0, scenario.disturbance, *followed, noise, *self._shown(scenario, p)]
+            with np.errstate(all="ignore"):  # steps by chance go beyond all numbers
+                parts += [names, scenario.x0, scenario.disturbance, *followed, noise, *self._shown(scenario, p)]
         return digest(*parts)
 
     def _shown(self, scenario: Scenario, p: Array) -> Iterator[Any]:
@@ -344,7 +345,7 @@ def _drawn(name: str, given: Drawn, rng: np.random.Generator) -> Any:
     except CCDError:
         raise
     except Exception as error:
-        raise stopped(f"scenarios[{name!r}]", given, error, "a function rng -> Scenario") from error
+        raise stopped(_named("scenarios", name), given, error, "a function rng -> Scenario") from error
 
 
 def _check_maker(argument: str, maker: Any) -> None:
@@ -359,13 +360,18 @@ def _check_maker(argument: str, maker: Any) -> None:
         raise InputError(argument, f"a {type(maker).__name__} that takes no (design, rng)", expected, cure) from None
 
 
+def _named(argument: str, name: str) -> str:
+    """Argument of a name; one given alone has none."""
+    return f"{argument}[{name!r}]" if name else argument
+
+
 def _as_scenarios(given: Any) -> dict[str, Any]:
     """Scenarios by name; one alone has none."""
     expected = "a Scenario, a function rng -> Scenario, or a mapping of names to such"
     found = as_mapping("scenarios", given, expected) if isinstance(given, Mapping) else {"": given}
     for name, one in found.items():
         if not isinstance(one, Scenario) and not callable(one):
-            raise InputError(f"scenarios[{name!r}]", shown(one), "a Scenario, or a function rng -> Scenario")
+            raise InputError(_named("scenarios", name), shown(one), "a Scenario, or a function rng -> Scenario")
     if not found:
         raise InputError("scenarios", "none", "at least one")
     return found
