@@ -105,8 +105,9 @@ class Trajectory(Immutable):
         """
         as_objective("objective", objective)
         objective.check(self.states.shape[2], self.inputs.shape[2], len(self.design))
-        rewards = objective.rewards(self.states[:, 1:], self.inputs, self.states[:, :-1], self.design)
-        final = objective.final_rewards(self.states[:, -1], self.design)
+        with np.errstate(over="ignore", invalid="ignore"):  # a lost run may cost more than a number holds
+            rewards = objective.rewards(self.states[:, 1:], self.inputs, self.states[:, :-1], self.design)
+            final = objective.final_rewards(self.states[:, -1], self.design)
         if final is not None:
             rewards[:, -1] += np.where(self.diverged, 0.0, final)
         steps = np.arange(rewards.shape[1])

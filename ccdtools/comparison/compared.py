@@ -52,8 +52,8 @@ class Compared:
         What making the controller took, in the median of the seeds: time, and samples of the environment.
     metrics : dict of str to float
         Means over the seeds.
-    c_step_time : float
-        Of exported C [s], in the median of the seeds; NaN where it was not asked for or is not exported.
+    c_step_time : (float, float)
+        Median and 99th percentile of exported C [s], in the median of the seeds; NaN where there is none.
     remark : str
         Why seeds are missing, or what the controller says of itself.
     """
@@ -71,7 +71,7 @@ class Compared:
     seconds: float
     steps: float
     metrics: dict[str, float]
-    c_step_time: float
+    c_step_time: tuple[float, float]
     remark: str
 
     @property
@@ -134,6 +134,7 @@ def compared(
     lost, begun = _lost(runs * len(refused), own.values())
     base_lost, _ = _lost(runs * len(base_refused), other.values())
     grouped = f"{len(records)} seeds of {runs} runs"
+    median, most = np.median([(one.c_step_time, one.c_step_time_99) for one in made or records], axis=0)
     return Compared(
         names, len(cells), runs,
         value=_mean(kept, fresh, [cell.series for cell in cells if not cell.lost.any()]),
@@ -145,7 +146,7 @@ def compared(
         times=np.concatenate([np.zeros(0), *(cell.times for cell in cells)]),
         seconds=float(np.median([one.seconds for one in made])) if made else float("nan"),
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
-        c_step_time=float(np.median([one.c_step_time for one in made])) if made else float("nan"),
+        c_step_time=(float(median), float(most)),
         metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
         remark=next(iter([*told, *(one.remark for one in records if one.remark)]), ""),
     )  # fmt: skip

@@ -15,7 +15,7 @@ from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.budgets import TIMED_CALLS
-from ccdtools.comparison.c_step_time import c_step_time
+from ccdtools.comparison.c_step_time import NONE, c_step_time
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
@@ -64,8 +64,8 @@ class Score:
         The controllers that leave X less deep, or less often, on the runs that both saw; see `further_outside`.
     step_time : float
         Median time of one call with one state [s], over the first states of the first run.
-    c_step_time : float
-        Time of a call of its exported C code [s], if asked for; NaN where there is none.
+    c_step_time, c_step_time_99 : float
+        Median and 99th percentile of calls of its exported C code [s], if asked for; NaN where there is none.
     metrics : dict of str to float
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
     design_cost : float
@@ -96,6 +96,7 @@ class Score:
     runs: int = 0
     remark: str = ""
     c_step_time: float = float("nan")
+    c_step_time_99: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,18 +105,20 @@ class Comparison:
 
     It is iterated like a list of scores, and indexed by number or by the name of a controller. `limits` says what
     violations are of: "X", or "the limits" where those of outputs count, too; `baseline` is the controller that the
-    others are paired to.
+    others are paired to; `compiled`, whether times are printed, of exported C too.
     """
 
     scores: tuple[Score, ...]
     limits: str = "X"
     baseline: str = REFERENCE
+    compiled: bool = False
 
     @property
     def notes(self) -> list[str]:
         """Remarks, one line each, on fewer runs, lost runs and risks."""
         most = max(score.runs for score in self.scores)
-        lines = [
+        lines = ["µs a step: median; in C: median, 99th percentile of the exported code."] * self.compiled
+        lines += [
             f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
             f"{self.baseline} has {_shown(one.lqr_mean, '.5g')}" for one in self.scores if one.runs < most
         ]  # fmt: skip
@@ -151,7 +154,7 @@ class Comparison:
                 "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
                 "depth_worst": score.depth_worst, "exceeded": score.exceeded,
                 "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-                "c_step_time_us": 1e6 * score.c_step_time,
+                "c_step_time_us": 1e6 * score.c_step_time, "c_step_time_99_us": 1e6 * score.c_step_time_99,
                 "runs": score.runs, "remark": score.remark, **score.metrics,
             }
             for score in self.scores
@@ -177,9 +180,9 @@ class Comparison:
     def _table(self) -> Table:
         """Printed table, without the means of fewer runs."""
         head = ("controller", "return", "std", "n", f"minus {self.baseline}", "95 % interval", "diverged",
-                f"outside {self.limits}", "depth")  # fmt: skip
+                f"outside {self.limits}", "depth", *("µs a step", "in C") * self.compiled)  # fmt: skip
         most = max(score.runs for score in self.scores)
-        rows = [_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores]
+        rows = [_text_cells(score, self, whole=score.runs == most) for score in self.scores]
         return Table(head, rows, right=frozenset(range(1, len(head))) - {5})
 
     def __repr__(self) -> str:
@@ -233,7 +236,7 @@ def compare(
         The controller that the others are paired to; "LQR" by default, or the first where there is none.
     compiled : bool
         Whether the C code of learned policies, with memory or filter, and of explicit MPC is compiled and timed, too,
-        where ``cc`` is found.
+        where ``cc`` is found; the table then has columns of times.
 
     Raises
     ------
@@ -280,7 +283,7 @@ def compare(
             score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=pieces[one.controller].further_than(pieces)) for one in scores)
-    return Comparison(tuple(found), limits_in_words(output_limits), baseline)
+    return Comparison(tuple(found), limits_in_words(output_limits), baseline, compiled)
 
 
 def _score(
@@ -292,6 +295,7 @@ def _score(
     own = run.rewards(objective)
     other = reference.rewards(objective)[:n]
     shared = other[kept].sum(axis=1)
+    median, most = c_step_time(controller, run) if compiled else NONE
     return Score(
         controller=name,
         summary=summarise_returns(own[~run.diverged], runs=n),
@@ -308,7 +312,8 @@ def _score(
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
         runs=n,
         remark=getattr(controller, "remark", ""),
-        c_step_time=c_step_time(controller, run) if compiled else float("nan"),
+        c_step_time=median,
+        c_step_time_99=most,
     )
 
 
@@ -334,18 +339,20 @@ def step_times(controller: Controller, states: Array, scenario: Scenario, p: Arr
     return np.array(times)
 
 
-def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
+def _text_cells(score: Score, table: Comparison, *, whole: bool) -> tuple[str, ...]:
     """Cells of a printed row; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
-    compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
+    compared = score.controller != table.baseline and np.isfinite(paired.mean) and not score.remark
     difference = _shown(paired.mean, ".4g", floor) if compared else "-"
     interval = f"[{', '.join(_shown(end, '.4g', floor) for end in paired.ci95)}]" if compared else "-"
     mean = _shown(score.summary.mean, ".5g") if whole else "*"
     std = _shown(score.summary.std, ".3g") if whole else "*"
+    in_c = (score.c_step_time, score.c_step_time_99)
+    times = [", ".join(_shown(1e6 * one, ".3g") for one in kind) for kind in ((score.step_time,), in_c)]
     return (
         score.controller, mean, std, str(score.summary.n), difference, interval, f"{score.diverged:.1%}",
-        _shown(score.violations, ".1%"), _shown(score.depth_peak, ".2g"),
+        _shown(score.violations, ".1%"), _shown(score.depth_peak, ".2g"), *times * table.compiled,
     )  # fmt: skip
 
 

@@ -51,7 +51,8 @@ class Record:
     refused: str = ""  # why there is no controller, or none in some scenario
     remark: str = ""  # what the controller says of itself
     about: str = ""  # the controller in words
-    c_step_time: float = float("nan")  # of its exported C [s], where it was asked for and exists
+    c_step_time: float = float("nan")  # median of its exported C [s], where it was asked for and exists
+    c_step_time_99: float = float("nan")  # 99th percentile
 
 
 def digest(*parts: Any) -> str:

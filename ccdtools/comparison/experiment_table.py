@@ -168,7 +168,7 @@ class Experiment:
         runs = " or ".join(str(n) for n in sorted({cell.runs for cell in self}))
         lines = [
             f"{seeds} seed{'s'[: seeds - 1]}, {runs} runs of each. µs a step: median, 99th percentile. "
-            f"{'In C: of the exported code. ' * len(self._in_c)}Training: median of the seeds.",
+            f"{'In C: those of the exported code. ' * len(self._in_c)}Training: median of the seeds.",
             f"Per cents are of what control costs {self.baseline}, the price of the design left out.",
         ]
         if seeds == 1:
@@ -188,21 +188,20 @@ class Experiment:
     @property
     def _in_c(self) -> tuple[str, ...]:
         """Head of the column of exported C, where there is one."""
-        return ("in C",) * any(np.isfinite(cell.c_step_time) for cell in self)
+        return ("in C",) * any(np.isfinite(cell.c_step_time[0]) for cell in self)
 
     def _cells(self, cell: Compared, metrics: list[str]) -> tuple[str, ...]:
         """Texts of a line, but for its names; the baseline is not compared."""
         low, high = (number(end) for end in cell.value.ci95)
-        median, most = (number(1e6 * time, 3) for time in cell.step_time)
+        own, in_c = (", ".join(number(1e6 * one, 3) for one in pair) for pair in (cell.step_time, cell.c_step_time))
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
         base = cell.names[0] == self.baseline
         ends = ", ".join(number(100 * end, 2) for end in np.clip(cell.better.ci95, 0.0, 1.0))
         better = f"{share(cell.better.mean)} [{ends}]"
         against = ("", "") if base else (cell.evidence.percent, better)
-        in_c = [number(1e6 * cell.c_step_time, 3)] * len(self._in_c)
         lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))
         return (
             number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
-            share(cell.fraction), f"{median}, {most}", *in_c, training,
+            share(cell.fraction), own, *[in_c] * len(self._in_c), training,
             *(number(cell.metrics.get(name)) for name in metrics), "" if base else cell.word,
         )  # fmt: skip

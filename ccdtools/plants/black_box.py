@@ -138,12 +138,12 @@ def from_gymnasium(
     ----------
     env : gymnasium.Env
         With a box of actions (nu,); its time limit and its rewards are not looked at. It must be deterministic.
-    read : function of the unwrapped environment → x (nx,)
-        State at which it stands; required.
-    write : function of the unwrapped environment and x (nx,)
-        Puts it into a state; required.
+    read : function of the unwrapped environment → x (nx,), optional
+        State at which it stands; by default its `state`.
+    write : function of the unwrapped environment and x (nx,), optional
+        Puts it into a state; by default sets its `state`.
     dt : float, optional
-        Time of a step [s]; by default `dt` of the unwrapped environment.
+        Time of a step [s]; by default `dt` of the unwrapped environment, or 1 where it has none: time counts steps.
     design : DesignSpace
         Its parameters, if any are to be designed; `build` is then required.
     build : function of the unwrapped environment and p (np,), optional
@@ -154,29 +154,26 @@ def from_gymnasium(
     Raises
     ------
     InputError
-        If an argument is of the wrong kind, or a state that is written is not the one that is read.
+        If an argument is of the wrong kind, the environment has no `state` and `read` or `write` is missing, or a state
+        that is written is not the one that is read.
 
     Examples
     --------
-    >>> def write(env, x):
-    ...     env.state = x
-    >>> plant = from_gymnasium(gymnasium.make("Pendulum-v1"), read=lambda env: env.state, write=write)
+    >>> plant = from_gymnasium(gymnasium.make("Pendulum-v1"))
     """
+    inner = _begun(env)
+    if hasattr(inner, "state"):
+        read = _state if read is None else read
+        write = _set_state if write is None else write
     tasks = {"read": "env → x, where it stands", "write": "(env, x), which puts it there", "build": "(env, p)"}
     for (name, task), given in zip(tasks.items(), (read, write, build)):
         if not callable(given) and (name != "build" or given is not None):
-            cure = "An environment whose state cannot be written is no plant."
-            raise InputError(name, shown(given), f"a function {task}", cure)
+            got = f"{shown(given)}, of an environment without a `state`" if given is None else shown(given)
+            raise InputError(name, got, f"a function {task}", CURES[name])
     as_instance("design", design, DesignSpace, "a DesignSpace")
     if design.dim and build is None:
         raise InputError("build", "none", "a function (env, p) that gives the environment a design")
-    shape = getattr(getattr(env, "action_space", None), "shape", None)
-    if not hasattr(env, "unwrapped") or shape is None or len(shape) != 1 or not hasattr(env.action_space, "low"):
-        actions = getattr(env, "action_space", None)
-        got = shown(env) if actions is None else f"an environment with the actions {actions}"
-        raise InputError("env", got, "a Gymnasium environment with a box of actions (nu,)")
-    inner: Any = env.unwrapped
-    dt = as_positive("dt", getattr(inner, "dt", None) if dt is None else dt, unit="s")
+    dt = as_positive("dt", getattr(inner, "dt", 1.0) if dt is None else dt, unit="s")
 
     def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
@@ -189,9 +186,8 @@ def from_gymnasium(
             raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
         return _read(read, inner)
 
-    env.reset(seed=0)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
-    box = BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design, step_limit=step_limit)
+    box = BlackBox(advance, nx=len(x), nu=len(u), dt=dt, design=design, step_limit=step_limit)
     first, again = (box.step(x, u, np.zeros(0), design.project(design.centre)) for _ in range(2))
     if not np.array_equal(first, again, equal_nan=True):
         got = f"{shown(first)} and {shown(again)} after one step from one state"
@@ -200,6 +196,33 @@ def from_gymnasium(
     if not np.array_equal(x, back := _read(read, inner)):
         raise InputError("write", f"a state {shown(back)} where {shown(x)} was written", "the same state, (nx,)")
     return box
+
+
+CURES = {
+    "read": "Such as read=lambda env: np.r_[env.data.qpos, env.data.qvel], of MuJoCo.",
+    "write": "Such as write=lambda env, x: env.set_state(x[:n], x[n:]), of MuJoCo. Without a state there is no plant.",
+    "build": "Such as build=lambda env, p: setattr(env, 'm', p[0]).",
+}
+
+
+def _begun(env: Any) -> Any:
+    """Unwrapped environment after a reset, if it has a box of actions."""
+    actions = getattr(env, "action_space", None)
+    if not hasattr(env, "unwrapped") or not hasattr(actions, "low") or len(actions.shape) != 1:  # type: ignore[union-attr]
+        got = shown(env) if actions is None else f"an environment with the actions {actions}"
+        raise InputError("env", got, "a Gymnasium environment with a box of actions (nu,), such as by gymnasium.make")
+    env.reset(seed=0)
+    return env.unwrapped
+
+
+def _state(env: Any) -> Any:
+    """State of the environments of classic control."""
+    return env.state
+
+
+def _set_state(env: Any, x: Array) -> None:
+    """Put an environment of classic control into a state."""
+    env.state = x
 
 
 def _read(read: Callable[[Any], ArrayLike], env: Any) -> Array:

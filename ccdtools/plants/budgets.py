@@ -8,6 +8,7 @@ TRIED_COMBINATIONS = 100  # So many combinations of whole numbers are tried, the
 
 # --- discretisation ---------------------------------------------------------------------------------------------------
 PART_BY_COLLOCATION = 60  # A part by collocation takes about as long as so many of Runge–Kutta.
+DEAR_PARTS = 100  # From more Runge–Kutta parts a sample on, their cost is warned of.
 # A sample is cut into at most so many parts.
 MOST_PARTS = {"rk4": 512, "collocation": 64}
 NEWTON_ITERATIONS = 50  # Newton's method has at most so many iterations.

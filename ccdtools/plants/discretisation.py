@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.exceptions import InputError, JumpWarning
-from ccdtools.plants.budgets import MOST_PARTS
+from ccdtools.exceptions import InputError, JumpWarning, SamplingWarning
+from ccdtools.plants.budgets import DEAR_PARTS, MOST_PARTS
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.jumps import SMOOTHER, Jump
 from ccdtools.plants.linear_model import LinearModel
@@ -63,8 +63,8 @@ def discretise(
         coordinates, or one number each. X and U that depend on the design, functions of p or those of a problem or
         study (`problem.X`), are taken at every design as they are there.
     sampling_guard : {"warn", "ignore"}
-        Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate, or
-        that unmeasured Runge–Kutta steps grow what the plant damps.
+        Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate, that
+        unmeasured Runge–Kutta steps grow what the plant damps, or that the accuracy costs more than a hundred of them.
     compiled : bool
         Of a nonlinear plant: whether steps of many runs are compiled, which takes some seconds once and makes them many
         times as fast.
@@ -110,6 +110,8 @@ def discretise(
         model = SampledModel(plant, dt, chosen, plant.substeps)
     else:
         model = _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region, jump)
+        if model.parts > DEAR_PARTS and sampling_guard == "warn":
+            warnings.warn(_cost_text(model, accuracy, region), SamplingWarning, stacklevel=2)
     model = replace(model, compiled=compiled)
     if jump is not None:
         model = replace(model, jump=_jump_text(plant, jump))
@@ -230,6 +232,19 @@ def _accurate(
         got += f"; {_jump_text(plant, jump)}"
         cure = f"{SMOOTHER} Or allow a larger error."
     raise InputError("accuracy", got, "a larger error", cure)
+
+
+def _cost_text(model: SampledModel, accuracy: float, region: Region) -> str:
+    """Text on the parts that an accuracy takes, and the accuracy that a quarter of them has."""
+    fewer = max(1, model.substeps // 4)
+    coarse = _error(model.plant, model.dt, model.method, fewer, region)
+    parts = f"{model.parts} Runge–Kutta parts a sample"
+    less = f"accuracy={1.1 * coarse.relative:.2g} takes" if math.isfinite(coarse.relative) else "nothing is reached by"
+    return (
+        f"dt = {model.dt:g} s takes {'' if model.method == 'rk4' else f'{model.substeps} parts by collocation, or '}"
+        f"{parts} at accuracy={accuracy:g}; {less} about {fewer}. Hardest is {_place(model.plant, coarse)}: narrow X, "
+        "U and W if the plant does not go there, or shorten dt."
+    )
 
 
 def _error(

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask, frozen
 from ccdtools.exceptions import InputError
-from ccdtools.plants.plant import Plant
+from ccdtools.plants.plant import ABOUT_REST, Plant
 from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
 from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
 from ccdtools_ground.door import as_floats, as_instance, as_vector, shown
@@ -168,7 +168,7 @@ def equilibrium(
     >>> equilibrium(tanks, [0.5], x=[np.nan, 0.3], u=[np.nan])  # the input that holds the second level at 0.3 m
     ... # doctest: +SKIP
     """
-    as_instance("plant", plant, Plant, "a Plant")
+    as_instance("plant", plant, Plant, "a Plant", ABOUT_REST)
     p = plant.design.check_one(p)
     given = np.r_[
         _given("x", np.full(plant.nx, np.nan) if x is None else x, plant.nx),

@@ -2,7 +2,8 @@
 
 References
 ----------
-Modelica Association, "Functional mock-up interface for model exchange and co-simulation", version 2.0, 2014.
+Modelica Association, "Functional mock-up interface for model exchange and co-simulation", version 2.0, 2014;
+"Functional mock-up interface specification", version 3.0, 2022.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from shutil import rmtree
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import finalize
 
 import numpy as np
@@ -26,11 +28,27 @@ from ccdtools_ground.door import as_count, as_instance, as_positive, nearest, sh
 from ccdtools_ground.own_process import OwnProcess
 
 
+class Words(NamedTuple):
+    """Words of a version of FMI for the same things, as FMPy has them."""
+
+    model: str
+    real: str
+    set_values: str
+    update: str
+    derivatives: str
+
+
+FMI = {
+    "2": Words("FMU2Model", "Real", "setReal", "newDiscreteStates", "getDerivatives"),
+    "3": Words("FMU3Model", "Float64", "setFloat64", "updateDiscreteStates", "getContinuousStateDerivatives"),
+}
+
+
 def from_fmu(
     path: str | Path, *, dt: float, inputs: Sequence[str] | None = None, disturbances: Sequence[str] = (),
     design: DesignSpace = NO_DESIGN, substeps: int = 10, step_limit: float | None = None,
 ) -> BlackBox:  # fmt: skip
-    """Plant of an FMU for model exchange (FMI 2.0), from any state.
+    """Plant of an FMU for model exchange (FMI 2.0 or 3.0), from any state.
 
     Its derivatives are integrated by Runge–Kutta steps with inputs held; its time stands at 0, and state events are not
     located. FMPy (``pip install "ccdtools[fmu]"``) loads it.
@@ -69,7 +87,8 @@ def from_fmu(
     as_instance("design", design, DesignSpace, "a DesignSpace")
     described = _described(where)
     known = {v.name: v for v in described.modelVariables}
-    real = [v for v in described.modelVariables if v.type == "Real"]
+    words = FMI[described.fmiVersion[0]]
+    real = [v for v in described.modelVariables if v.type == words.real and not v.dimensions]
     of_kind = {kind: [v.name for v in real if v.causality == kind] for kind in ("input", "parameter")}
     for argument, names in (("inputs", () if inputs is None else inputs), ("disturbances", disturbances)):
         if not isinstance(names, list | tuple):
@@ -123,16 +142,21 @@ class FmuStep:
         return len(_described(self.path).derivatives)
 
     @cached_property
+    def _words(self) -> Words:
+        """Words of its version of FMI."""
+        return FMI[_described(self.path).fmiVersion[0]]
+
+    @cached_property
     def _loaded(self) -> tuple[Any, dict[str, Any]]:
         """The FMU, and the design that it stands at."""
         import fmpy
-        from fmpy.fmi2 import FMU2Model
 
         described = _described(self.path)
+        kind = getattr(import_module(f"fmpy.fmi{described.fmiVersion[0]}"), self._words.model)
         name = described.modelExchange.modelIdentifier
         try:
             folder = fmpy.extract(str(self.path))
-            model = FMU2Model(guid=described.guid, unzipDirectory=folder, modelIdentifier=name, instanceName=name)
+            model = kind(guid=described.guid, unzipDirectory=folder, modelIdentifier=name, instanceName=name)
             finalize(model, rmtree, folder, ignore_errors=True)
             model.instantiate()
         except Exception as error:
@@ -155,12 +179,13 @@ class FmuStep:
             if stands:
                 model.reset()
             stands["p"] = None
-            model.setupExperiment(startTime=0.0)
+            if hasattr(model, "setupExperiment"):  # FMI 3 has none
+                model.setupExperiment(startTime=0.0)
             if len(p):
-                model.setReal(self.references[2], p.tolist())
+                self._set(model, self.references[2], p)
             model.enterInitializationMode()
             model.exitInitializationMode()
-            if all(model.newDiscreteStates()[0] for _ in range(EVENT_ROUNDS)):
+            if all(getattr(model, self._words.update)()[0] for _ in range(EVENT_ROUNDS)):
                 raise RuntimeError(f"its events go on after {EVENT_ROUNDS} rounds")
             model.enterContinuousTimeMode()
         except Exception as error:
@@ -176,13 +201,17 @@ class FmuStep:
         try:
             for references, values in zip(self.references, (u, w)):
                 if references:
-                    model.setReal(references, values.tolist())
-            model.fmi2SetContinuousStates(model.component, _pointer(state), self.nx)
-            model.fmi2GetDerivatives(model.component, _pointer(rate), self.nx)
+                    self._set(model, references, values)
+            model.setContinuousStates(_pointer(state), self.nx)
+            getattr(model, self._words.derivatives)(_pointer(rate), self.nx)
         except Exception:
             self._loaded[1]["p"] = None  # what has stopped begins anew
             raise
         return rate
+
+    def _set(self, model: Any, references: tuple[int, ...], values: Array) -> None:
+        """Set real variables."""
+        getattr(model, self._words.set_values)(references, values.tolist())
 
     def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """State (nx,) a sample later."""
@@ -207,13 +236,15 @@ def _described(path: Path) -> Any:
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError("path", f"{path}, which cannot be read: {reason[:120]}", "an .fmu file") from error
-    if not described.fmiVersion.startswith("2.") or described.modelExchange is None:
+    if described.fmiVersion[0] not in FMI or described.modelExchange is None:
         alone = described.modelExchange is None
         kind = "co-simulation alone" if alone else "model exchange"
         cure = "A co-simulation goes on from where it stands; a BlackBox steps from any state." if alone else ""
-        raise InputError("path", f"FMI {described.fmiVersion} for {kind}", "FMI 2.0 for model exchange", cure)
+        raise InputError("path", f"FMI {described.fmiVersion} for {kind}", "FMI 2.0 or 3.0 for model exchange", cure)
     if not described.derivatives:
         raise InputError("path", "an FMU without a continuous state", "at least one")
+    if any(one.variable.dimensions for one in described.derivatives):
+        raise InputError("path", "an FMU whose states are arrays", "states that are single numbers")
     return described
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.exceptions import InputError
 from ccdtools.plants.equilibrium import Equilibrium
 from ccdtools.plants.jumps import SMOOTHER, Switches
-from ccdtools.plants.plant import Plant
+from ccdtools.plants.plant import ABOUT_REST, Plant
 from ccdtools_ground.door import as_instance, as_vector
 
 
@@ -88,7 +88,7 @@ def deviations(plant: Plant, about: Equilibrium) -> Plant:
     InputError
         If the equilibrium is one of a plant of other sizes or designs, or is not found at some design of the box.
     """
-    as_instance("plant", plant, Plant, "a Plant")
+    as_instance("plant", plant, Plant, "a Plant", ABOUT_REST)
     as_instance("about", about, Equilibrium, "an Equilibrium", "equilibrium(plant, p) finds one.")
     _check_alike(plant, about.plant)
     z = ca.vertcat(plant.x, plant.u, plant.w)

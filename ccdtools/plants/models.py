@@ -14,7 +14,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.budgets import COMPILED_FROM
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
-from ccdtools.plants.plant import Plant
+from ccdtools.plants.plant import ABOUT_REST, Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.simulated_model import Simulable as Simulable, SimulatedModel, Step as Step
 from ccdtools.plants.tolerances import MODEL_AT_REST
@@ -121,4 +121,4 @@ def check_at_rest(argument: str, model: Any, names: Sequence[str], slack: Array 
             i = int(np.argmax(moved))
             where = f"{names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
             got = f"a plant that does not rest at x = 0, u = 0: {where}"
-            raise InputError(argument, got, "one that does", DEVIATIONS)
+            raise InputError(argument, got, "one that does", ABOUT_REST if steps_alone(model) else DEVIATIONS)

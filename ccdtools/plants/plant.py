@@ -21,6 +21,11 @@ from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_d
 from ccdtools_ground.algebraic import solved
 from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_names, as_positive, shown
 
+ABOUT_REST = (
+    "Count the states and inputs of a simulator from rest, such as x_e and u_e by scipy.optimize.fsolve: "
+    "BlackBox(lambda x, u, w, p: advance(x_e + x, u_e + u, w, p) - x_e, ...)."
+)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant(Symbolic):

@@ -21,10 +21,11 @@ from ccdtools import (
     QuadraticObjective,
     Search,
     codesign,
+    equilibrium,
     load_study,
 )
 from ccdtools.co_design import EpisodeEnv
-from ccdtools.plants import BlackBox, from_gymnasium
+from ccdtools.plants import BlackBox, deviations, from_gymnasium
 from learning import NetworkConfig
 
 RNG = np.random.default_rng(4)
@@ -206,6 +207,25 @@ def test_a_simulator_may_rest_to_a_millionth_of_the_limits_in_any_unit(unit):
     assert problem(1e-6).model.nx == 1
     with pytest.raises(InputError, match="does not rest at x = 0, u = 0: x1 moves by"):
         problem(1e-5)
+
+
+def test_a_simulator_that_rests_elsewhere_is_told_how_to_count_from_there():
+    def advance(x, u, w, p):  # a mass that its input holds against 9.81
+        return x + 0.1 * np.array([x[1], u[0] - 9.81 - p[0] * x[1]])
+
+    def problem(advance):
+        box = BlackBox(advance, nx=2, nu=1, dt=0.1, design=DesignSpace(["p"], [1.0], [2.0]))
+        return CoDesignProblem(box, X=([-1, -1], [1, 1]), U=(-5, 5), scenarios=FixedStart([0.5, 0.0], Gaussian([])),
+                               objective=QuadraticObjective(np.eye(2), [[0.1]]))  # fmt: skip
+
+    with pytest.raises(InputError, match="does not rest") as refused:
+        problem(advance)
+    x_e, u_e = np.zeros(2), np.array([9.81])
+    written = refused.value.cure.partition("BlackBox(")[2].partition(", ...")[0]
+    assert problem(eval(written, {"advance": advance, "x_e": x_e, "u_e": u_e})).model.nx == 2
+    for ask in (lambda box: equilibrium(box, [1.0]), lambda box: deviations(box, None)):
+        with pytest.raises(InputError, match=r"plant: got a BlackBox, expected a Plant\. Count the states"):
+            ask(BlackBox(advance, nx=2, nu=1, dt=0.1))
 
 
 def test_a_length_is_designed_in_an_environment_of_gymnasium():

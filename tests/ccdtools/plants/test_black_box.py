@@ -281,12 +281,37 @@ def test_what_cannot_be_an_environment_is_refused():
     gymnasium = pytest.importorskip("gymnasium")
     with pytest.raises(InputError, match=r"env: got an environment with the actions Discrete\(2\), .*box of actions"):
         from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
-    for missing in ("read", "write"):
-        with pytest.raises(InputError, match=f"{missing}: got nothing, .*whose state cannot be written is no plant"):
-            pendulum(**{missing: None})
-    assert pendulum(dt=None).dt == gymnasium.make("Pendulum-v1").unwrapped.dt
-    with pytest.raises(InputError, match="dt: got nothing"):
-        from_gymnasium(gymnasium.make("MountainCarContinuous-v0"), read=lambda env: env.state, write=write)
+
+
+class Bodies:
+    """Environment that steps another without showing its state."""
+
+    def __init__(self, env):
+        self.env, self.unwrapped, self.action_space = env, self, env.action_space
+        self.reset, self.step = env.reset, env.step
+
+
+@pytest.mark.parametrize("missing", ["read", "write"])
+def test_an_environment_without_a_state_says_what_to_pass(missing):
+    gymnasium = pytest.importorskip("gymnasium")
+    given = {"read": lambda env: env.env.unwrapped.state, "write": lambda env, x: write(env.env.unwrapped, x)}
+    bodies = Bodies(gymnasium.make("Pendulum-v1"))
+    assert from_gymnasium(bodies, **given).nx == 2
+    del given[missing]
+    with pytest.raises(InputError, match=f"{missing}: got nothing, of an environment without .*Such as {missing}="):
+        from_gymnasium(bodies, **given)
+
+
+@pytest.mark.parametrize(("name", "dt"), [("Pendulum-v1", 0.05), ("MountainCarContinuous-v0", 1.0)])
+def test_an_environment_of_classic_control_alone_is_a_plant(name, dt):
+    gymnasium = pytest.importorskip("gymnasium")
+    plant = from_gymnasium(gymnasium.make(name))
+    assert (plant.nx, plant.nu, plant.dt) == (2, 1, dt)
+    env = gymnasium.make(name)
+    env.reset(seed=3)
+    first = np.array(env.unwrapped.state)
+    env.step(np.array([0.5], dtype=np.float32))
+    np.testing.assert_allclose(plant.step(first, [0.5], [], []), env.unwrapped.state, atol=1e-7)
 
 
 @pytest.mark.parametrize("read", [

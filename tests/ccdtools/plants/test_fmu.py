@@ -35,22 +35,22 @@ CASES = Path(__file__).parents[2] / "cases"
 BOX = DesignSpace(["m", "c"], [0.5, 0.05], [2.0, 0.5], ["kg", "N·m·s"])
 
 
-def packed(folder: Path, description: str | None = None, *, binary: bool = True, changed=()) -> Path:
+def packed(folder: Path, description: str | None = None, *, binary=True, changed=(), fmi="") -> Path:
     """FMU in a folder, of the source with some of its text changed."""
     library, path = folder / "pendulum.so", folder / "pendulum.fmu"
     if binary:
-        text = (CASES / "pendulum_fmu.c").read_text(encoding="utf-8")
+        text = (CASES / f"pendulum_fmu{fmi}.c").read_text(encoding="utf-8")
         for before, after in changed:
             assert before in text
             text = text.replace(before, after)
         source = str(folder / "pendulum.c")
         Path(source).write_text(text, encoding="utf-8")
-        subprocess.run([CC, "-shared", "-fPIC", "-O1", source, "-o", str(library), "-lm"], check=True)
+        subprocess.run([CC, "-shared", "-fPIC", "-O1", f"-I{CASES}", source, "-o", str(library), "-lm"], check=True)
     with zipfile.ZipFile(path, "w") as archive:
-        text = (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8")
+        text = (CASES / f"pendulum_fmu{fmi}.xml").read_text(encoding="utf-8")
         archive.writestr("modelDescription.xml", text if description is None else description)
         if binary:
-            archive.write(library, f"binaries/{fmpy.platform}/pendulum.so")
+            archive.write(library, f"binaries/{fmpy.platform_tuple if fmi else fmpy.platform}/pendulum.so")
     return path
 
 
@@ -75,6 +75,26 @@ def test_an_fmu_is_simulated_as_the_plant_that_it_was_made_of(path):
         given = {"x0": x0, "steps": 60, "design": design, "disturbance": Gaussian([0.3])}
         runs = [simulate(one, law, **given, rng=np.random.default_rng(0)) for one in (plant, stated())]
         np.testing.assert_allclose(runs[0].states, runs[1].states, rtol=1e-9, atol=1e-9)
+
+
+def test_an_fmu_of_version_3_is_the_same_plant_as_that_of_version_2(path, tmp_path):
+    given = {"dt": 0.05, "disturbances": ["push"], "design": BOX}
+    plant = pickle.loads(pickle.dumps(from_fmu(packed(tmp_path, fmi="3"), **given)))
+    for point in (([1.0, 0.3], [0.2], [-0.1], [1.7, 0.3]), ([-2.0, 0.0], [0.0], [0.5], [1.0, 0.1])):
+        np.testing.assert_array_equal(plant.step(*point), from_fmu(path, **given).step(*point))
+    with pytest.raises(InputError, match="advance"):
+        plant.step([0.0, 2e3], [0.0], [0.0], [1.0, 0.1])
+    text = (CASES / "pendulum_fmu3.xml").read_text(encoding="utf-8")
+    arrays = text.replace('derivative="0"/>', 'derivative="0"><Dimension start="2"/></Float64>').replace(
+        'initial="exact" start="0" d', 'initial="exact" start="0 0" d'
+    )
+    for change, words in ((text.replace('"3.0"', '"1.0"'), "path: got"),
+                          (text.replace("<ModelExchange", "<CoSimulation"), "FMI 3.0 for co-simulation alone"),
+                          (arrays, "whose states are arrays")):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            from_fmu(packed(tmp_path, change, binary=False), dt=0.05)
+    with pytest.raises(InputError, match=f"does not load.*a binary for {fmpy.platform}; it has none"):
+        from_fmu(packed(tmp_path, binary=False, fmi="3"), dt=0.05)
 
 
 def test_all_inputs_are_inputs_where_none_is_a_disturbance_and_it_is_compared_and_pickled(path):

@@ -92,8 +92,11 @@ def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_step
 
 
 def test_a_motor_whose_current_settles_within_a_fiftieth_of_a_sample_is_accurate_by_default():
-    model = discretise(motor(), **MOTOR)
-    assert model.method == "rk4"
+    with pytest.warns(SamplingWarning, match=r"takes 176 Runge.* at accuracy=1e-06; .* about 44\. Hardest") as seen:
+        model = discretise(motor(), **MOTOR)
+    assert (model.method, model.substeps) == ("rk4", 176)
+    advised = float(re.search(r"accuracy=([\d.e-]+) takes", str(seen[0].message))[1])
+    assert discretise(motor(), accuracy=advised, **MOTOR).substeps <= 44
     for x, u, w, p in zip(*drawn(model, MOTOR, 20, np.random.default_rng(0))):
         run = solve_ivp(lambda t, y: motor_rates(y, u, w, p), (0, 0.05), x, "Radau", rtol=1e-11, atol=1e-11)  # noqa: B023
         assert (np.abs(model.advance(x[None], u[None], w[None], p)[0] - run.y[:, -1]) <= model.error.bound + 1e-9).all()
@@ -105,7 +108,7 @@ def test_an_accuracy_that_is_not_reached_is_answered_by_one_that_is():
     with pytest.raises(InputError, match="is reached") as refused:
         discretise(fast, accuracy=1e-10, **MOTOR)
     advised = float(re.search(r"Take accuracy=([\d.e-]+\d)\.", str(refused.value))[1])
-    assert discretise(fast, accuracy=advised, **MOTOR).error.relative <= advised
+    assert discretise(fast, accuracy=advised, sampling_guard="ignore", **MOTOR).error.relative <= advised
 
 
 def test_without_limits_parts_that_grow_what_the_plant_damps_are_warned_of():
@@ -129,7 +132,7 @@ def test_other_units_of_a_state_change_neither_method_nor_parts():
 def test_casadi_arrays_and_tensors_take_the_same_collocation_step(unit):
     rng = np.random.default_rng(0)
     X = tuple(np.array(bound) / unit for bound in TANKS["X"])
-    model = discretise(tanks(unit=unit), method="collocation", **(TANKS | {"X": X}))
+    model = discretise(tanks(unit=unit), method="collocation", sampling_guard="ignore", **(TANKS | {"X": X}))
     x, u, w, p = drawn(model, TANKS | {"X": X}, 20, rng)
     arrays = model.advance(x, u, w, p)
     tensors = model.advance(*(torch.tensor(a) for a in (x, u, w, p)))
@@ -175,7 +178,8 @@ def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
 def test_a_stiff_plant_in_deviations_is_collocated_with_its_centre():
     plant = hot_plate()
     hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
-    model = discretise(hanging, X=(-50.0, 50.0), U=(-100.0, 100.0), W=(-10.0, 10.0))
+    with pytest.warns(SamplingWarning, match="8 parts by collocation, or 480 Runge–Kutta parts"):
+        model = discretise(hanging, X=(-50.0, 50.0), U=(-100.0, 100.0), W=(-10.0, 10.0))
     assert model.method == "collocation"
 
 
