@@ -81,6 +81,9 @@ def run(
     redesign_price: Annotated[
         str | None, typer.Option(help='Predicted gain that a redesign needs: "0.5 %" (of the return) or "12 return".')
     ] = None,
+    redesign_cost: Annotated[
+        str | None, typer.Option(help='Cost in its place: "500 EUR, serves 2000, worth 0.3" (EUR a unit of return).')
+    ] = None,
     accept_loss: Annotated[
         str | None, typer.Option(help='Loss that a change may bring elsewhere: "0.5 %" (of the return there).')
     ] = None,
@@ -111,7 +114,7 @@ def run(
         x0=numbers("--x0", x0),
         p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
         redesign_price=redesign_price, limits=limits, filter=filter, accept_loss=accept_loss,
-        drift=number("--drift", drift, "such as 0.05"), trial=trial,
+        drift=number("--drift", drift, "such as 0.05"), trial=trial, redesign_cost=redesign_cost,
     )  # fmt: skip
     _begin(options, Path(study).stem, output, overwrite=overwrite)
 

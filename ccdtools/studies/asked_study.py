@@ -12,6 +12,7 @@ from ccdtools.disturbances.recordings import read_disturbance, read_road, read_s
 from ccdtools.exceptions import InputError
 from ccdtools.studies.loading import load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
+from ccdtools.studies.redesign_cost import RedesignCost
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
@@ -34,6 +35,8 @@ def asked_study(options: Options, recording: Recorded | None = None) -> tuple[St
     asked = {"redesign_price": options.redesign_price, "accept_loss": options.accept_loss,
              "limit_tolerance": options.limit_tolerance(), "filter": options.filter}  # fmt: skip
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    if options.redesign_cost is not None:
+        changes["redesign_cost"] = RedesignCost.parse(options.redesign_cost)
     with blamed_on_source_options(options):
         if source is not None:
             changes["real"] = replace(study.real, disturbance=source)
@@ -57,8 +60,11 @@ def _check_effect(options: Options, study: Study) -> None:
     sets = study.sets if options.sets is None else options.sets
     if options.sets_time_limit is not None and sets != "auto":
         raise InputError("--sets-time-limit", f"it with sets {sets!r}, which computes none", "it with --sets auto")
-    if options.redesign_price is not None and options.generations == 1:
-        raise InputError("--redesign-price", "it with --generations 1", "2 generations: the second one redesigns")
+    for name in ("redesign_price", "redesign_cost"):
+        if getattr(options, name) is not None and options.generations == 1:
+            raise InputError(
+                f"--{name.replace('_', '-')}", "it with --generations 1", "2 generations: the second one redesigns"
+            )
     if options.preset == "paper" and "pathwise" in (options.method or ""):
         got = f"{options.method!r} with --preset paper, which has no rate for it"
         raise InputError("--method", got, "ppo with that preset, or --preset default")

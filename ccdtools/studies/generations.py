@@ -19,7 +19,7 @@ from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, held_out_stage
-from ccdtools.studies.in_service import service_rows
+from ccdtools.studies.in_service import InService
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
@@ -78,6 +78,7 @@ class Generations:
         self.evaluation.held_out  # noqa: B018  (raises if fresh runs cannot be drawn)
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
+        self._in_service = InService()
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
@@ -94,16 +95,18 @@ class Generations:
                 self.echo(f"Generation {generation}: {end['text']}")
                 break
             twin, record = self._next(generation, found, twin, history)
-            history.append(record)
+            served = self._stage(
+                f"in-service-{generation}", f"Generation {generation}: in service, on all that it serves",
+                lambda _, record=record: self._in_service.stage(self.evaluation, [*history, record]),
+            )  # fmt: skip
+            history.append(replace(record, stages={**record.stages, "in service": served}))
         service = history[-1].after
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
         beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history, twin.logs))
-        served = self._stage("in-service", "What was in service, on all that it serves",
-                             lambda _: Stage({"rows": service_rows(self.evaluation, history)}))  # fmt: skip
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = self._results(history, beyond, served) | ({} if end is None else {"stopped": jsonable(end)})
+        contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
         self.folder.write_json("results.json", contents)
         return contents
 
@@ -115,7 +118,7 @@ class Generations:
             self.evaluation = replace(self.evaluation, study=replace(study, real=met))
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
-    def _results(self, history: Sequence[GenerationRecord], beyond: Stage, served: Stage) -> dict[str, Any]:
+    def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
         stages = [stage for record in history for stage in record.stages.values()]
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
@@ -126,7 +129,7 @@ class Generations:
             "schema_version": 7,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond, served)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -140,7 +143,7 @@ class Generations:
             "comparison": [row for record in history for row in record.stages["comparison"].values["rows"]],
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
-            "in_service": served.values["rows"],
+            "in_service": history[-1].stages["in service"].values["rows"],
             "configuration": asdict(config),
             "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         }  # fmt: skip

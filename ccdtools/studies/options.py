@@ -40,6 +40,8 @@ class Options:
         Another initial state and first design.
     redesign_price, accept_loss, filter : str or None
         As in `Study`; the study's own where None.
+    redesign_cost : str or None
+        As `RedesignCost.parse` takes it; the study's own where None.
     drift, trial
         As in `configuration`.
     limits : str or None
@@ -76,6 +78,7 @@ class Options:
     accept_loss: str | None = None
     drift: float | None = None
     trial: bool = False
+    redesign_cost: str | None = None
 
     def __post_init__(self) -> None:
         _check_study(self.study)
@@ -101,6 +104,10 @@ class Options:
             as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
         if self.redesign_price is not None:
             RedesignPrice.parse(self.redesign_price, "--redesign-price")
+        if self.redesign_cost is not None:
+            from ccdtools.studies.redesign_cost import RedesignCost  # loads SciPy's statistics
+
+            RedesignCost.parse(self.redesign_cost, "--redesign-cost")
         if self.accept_loss is not None:
             accepted_loss(self.accept_loss, "--accept-loss")
         if self.drift is not None:

@@ -69,6 +69,27 @@ class RedesignCost:
         for name in ("cost", "logging"):
             as_number(name, getattr(self, name), expected="a number of at least 0", low=0.0)
 
+    @classmethod
+    def parse(cls, text: Any, argument: str = "redesign_cost") -> RedesignCost:
+        """Cost stated by a text such as "500 EUR, serves 2000, worth 0.3, logging 20".
+
+        Raises
+        ------
+        InputError
+            As the class; or if the text is not of that kind.
+        """
+        expected = 'a text like "500 EUR, serves 2000, worth 0.3, logging 20", or "12 return, serves 200"'
+        first, *others = [part.split() for part in text.split(",")] if isinstance(text, str) else [[]]
+        names = [part[0] if part else "" for part in others]
+        if {len(part) for part in (first, *others)} != {2} or not {*names} <= {"serves", "worth", "logging"}:
+            raise InputError(argument, shown(text), expected)
+        try:
+            amounts = {name: float(amount) for name, amount in [("cost", first[0]), *map(tuple, others)]}
+            return cls(**({"unit": first[1]} | amounts))  # type: ignore[arg-type]  # names are checked above
+        except (ValueError, TypeError) as error:
+            said = f"{shown(text)} ({error})" if isinstance(error, InputError) else shown(text)
+            raise InputError(argument, said, expected) from None
+
     @property
     def needed(self) -> float:
         """Gain of an evaluation that pays for a redesign."""

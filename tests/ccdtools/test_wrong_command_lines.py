@@ -131,6 +131,10 @@ WRONG = [
     ([*RUN, "--design-gradient", "network-input"], "--design-gradient: got 'network-input'"),
     # Options without an effect
     ([*RUN, "--generations", "1", "--redesign-price", "2 %"], "--redesign-price: got it with --generations 1"),
+    ([*RUN, "--generations", "1", "--redesign-cost", "2 return, serves 9"], "--redesign-cost: got it with --gen"),
+    ([*RUN, "--redesign-cost", "500 EUR"], "--redesign-cost: got '500 EUR', expected a text like \"500 EUR, serves"),
+    ([*RUN, "--redesign-cost", "500 EUR, serves 9"], "worth: got nothing, expected what one unit of return is worth"),
+    ([*RUN, "--redesign-cost", "5 EUR, serves 9, lasts 3"], "--redesign-cost: got '5 EUR, serves 9, lasts 3'"),
     ([*RUN, "--sets", "none", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'none', which computes"),
     ([*RUN, "--sets", "lqr", "--sets-time-limit", "5"], "--sets-time-limit: got it with sets 'lqr', which computes"),
     ([*RUN, "--preset", "paper", "--method", "pathwise+ppo"], "--method: got 'pathwise+ppo' with --preset paper"),

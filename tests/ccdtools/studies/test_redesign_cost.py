@@ -112,3 +112,21 @@ def test_money_and_a_price_in_return_exclude_each_other(illustrative):
     terms = RedesignCost(cost=200.0, serves=500, unit="EUR", worth=1.0)
     with pytest.raises(InputError, match="redesign_price"):
         replace(illustrative, redesign_cost=terms, redesign_price="3 return")
+
+
+def test_a_text_states_what_a_redesign_costs():
+    assert RedesignCost.parse("500 EUR, serves 2000, worth 0.3, logging 20") == RedesignCost(500, 2000, "EUR", 0.3, 20)
+    assert RedesignCost.parse("12 return,serves 2e2") == RedesignCost(12, 200, "return")
+    for text in (
+        None,
+        "",
+        "EUR 500, serves 2",
+        "500 EUR serves 2",
+        "500, serves 2",
+        "5 EUR, serves 2, worth x",
+        "5 EUR,",
+    ):
+        with pytest.raises(InputError, match=r"redesign_cost: .*expected a text like"):
+            RedesignCost.parse(text)
+    with pytest.raises(InputError, match="cost: got -5"):
+        RedesignCost.parse("-5 return, serves 9")
