@@ -87,6 +87,24 @@ def test_the_figure_says_what_was_not_made_and_hides_no_curve():
     assert shown["LQR"] == "-" != shown["same"]
 
 
+def apart(figure):
+    """Whether no two labels beside an axis overlap, and no axes and the legend."""
+    figure.draw_without_rendering()
+    groups = [[one.get_window_extent() for one in ax.get_yticklabels()] for ax in figure.axes]
+    groups.append([ax.get_tightbbox() for ax in figure.axes] + [one.get_window_extent() for one in figure.legends])
+    return not any(a.overlaps(b) for group in groups for i, a in enumerate(group) for b in group[:i])
+
+
+@pytest.mark.parametrize("laws", [2, 12])
+def test_long_names_do_not_overlap_in_the_figures(laws):
+    names = [f"nonlinear MPC with a Kalman filter, imitated, number {i}" for i in range(laws)]
+    start = Scenario(PLANT, np.ones((4, 1)), np.zeros((4, 5, 1)))
+    result = found(dict.fromkeys(names, LAWS["LQR"]), {"calm": start, "windy": start}, seeds=1)
+    assert apart(result.plot())
+    table = compare({name: LinearFeedback([[GAIN]]) for name in names}, start, objective=OBJECTIVE, X=([-50], [50]))
+    assert apart(table.plot().figure)
+
+
 def test_a_controller_that_stops_in_one_scenario_keeps_what_it_did_in_others():
     def fragile(design, rng):
         def law(x):
