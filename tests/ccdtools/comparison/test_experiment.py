@@ -123,6 +123,23 @@ def test_a_controller_that_stops_in_one_scenario_keeps_what_it_did_in_others():
     assert "far: stopped with ZeroDivisionError: beyond" in beyond.remark
 
 
+def test_a_simulator_that_dies_without_input_loses_no_controller_under_which_it_lives(tmp_path):
+    def advance(x, u, w, p):
+        if x[0] < 0.3:
+            raise OSError("licence lost")
+        return 0.9 * x + 0.1 * u
+
+    start = Scenario(BlackBox(advance, nx=1, nu=1, dt=1.0), np.ones((2, 1)), np.zeros((2, 20, 0)))
+    laws = {"LQR": lambda design, rng: LinearFeedback([[-1.0]]), "none": lambda design, rng: Passive(1)}
+    options = {"seeds": 2, "folder": tmp_path, "metrics": lambda run: {"end": run.states[..., -1, 0].mean()}}
+    for _ in range(2):  # the second from the folder
+        result = found(laws, start, **options)
+        assert result["LQR"].metrics["end"] == pytest.approx(1.0)
+        assert result["none"].evidence.lost == (4, 0)
+        assert "OSError: licence lost" in result["none"].remark
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_returns_are_those_of_the_loop_by_hand_and_gains_are_in_pairs():
     scenario = drawn(np.random.default_rng(5))
     cell = found({"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}, scenario, seeds=1)["weak"]
