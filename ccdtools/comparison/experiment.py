@@ -164,8 +164,8 @@ class Plan:
         if sensor is not None and isinstance(rest, Trajectory):
             last = np.ones((1, scenario.plant.nu))
             yield np.array([sensor(k, x[None], last) for k, x in enumerate(rest.states[0, :-1])])
-        measured = self.metrics is not None and isinstance(rest, Trajectory)
-        yield sorted(metrics_of(self.metrics, rest).items()) if measured else {}
+        told = self.metrics is not None and isinstance(rest, Trajectory)
+        yield sorted(metrics_of(self.metrics, rest).items()) if told else {}  # type: ignore[arg-type]
         for run in (rest, self._by_chance(scenario, X, p)):
             if isinstance(run, Trajectory):
                 outside = Excursions.from_trajectory(run, X, scenario.plant, self.output_limits)[1]
@@ -427,7 +427,6 @@ def _check(plan: Plan, seed: int) -> None:
         for p in plan.designs.values():
             run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
             run.rewards(plan.objective)
-            rest = None if plan.metrics is None else plan.at_rest(scenario, p)
-            if isinstance(rest, Trajectory):
+            if plan.metrics is not None and isinstance(rest := plan.at_rest(scenario, p), Trajectory):
                 metrics_of(plan.metrics, rest)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)
