@@ -262,6 +262,7 @@ def _box(env: Any, name: str) -> Any:
     space = getattr(env, name)
     whole = name == "action_space" and not np.issubdtype(space.dtype, np.floating)
     if not hasattr(space, "low") or len(space.shape) != 1 or whole:
-        cure = "For discrete actions use Stable-Baselines3." if name == "action_space" else "Flatten it by a wrapper."
+        discrete = name == "action_space" and (whole or not hasattr(space, "low"))
+        cure = "For discrete actions use Stable-Baselines3." if discrete else "Flatten it by a wrapper."
         raise InputError("make", f"the {name} {space}", "a box of shape (n,)" + (" of float" if whole else ""), cure)
     return space

@@ -1,5 +1,4 @@
 """Amounts of work of `ccdtools.comparison`."""
 
-FEWEST_TRIMMED = 4  # Of fewer values nothing is trimmed from either end, and the middle half is no other mean.
 PROBES = 16  # From so many states, by as many inputs, a plant is asked whether it is still the same.
 TIMED_CALLS = 100  # So many calls of a controller are timed, at the first states of a run.

@@ -159,18 +159,31 @@ class Plan:
     def _shown(self, scenario: Scenario, p: Array) -> Iterator[Any]:
         """What tells plant, sensors, objective, limits and metrics apart: a run without input, and steps by chance."""
         X = self.limits_at(scenario, p)
-        rest = self.simulated(scenario.first(1), Passive(scenario.plant.nu), p)
+        rest = self.at_rest(scenario, p)
         sensor = scenario.sensor(p)
-        if sensor is not None:
+        if sensor is not None and isinstance(rest, Trajectory):
             last = np.ones((1, scenario.plant.nu))
             yield np.array([sensor(k, x[None], last) for k, x in enumerate(rest.states[0, :-1])])
-        yield {} if self.metrics is None else sorted(metrics_of(self.metrics, rest).items())
+        told = self.metrics is not None and isinstance(rest, Trajectory)
+        yield sorted(metrics_of(self.metrics, rest).items()) if told else {}  # type: ignore[arg-type]
         for run in (rest, self._by_chance(scenario, X, p)):
             if isinstance(run, Trajectory):
                 outside = Excursions.from_trajectory(run, X, scenario.plant, self.output_limits)[1]
                 yield from (run.states, run.rewards(self.objective), outside.peak)
             else:
                 yield run
+
+    def at_rest(self, scenario: Scenario, p: Array) -> Trajectory | str:
+        """A run without input, up to where a simulator stops, or what it says."""
+        return self._tried(scenario.first(1), Passive(scenario.plant.nu), p)
+
+    def _tried(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory | str:
+        """Runs, up to where a simulator stops, or what it says."""
+        try:
+            return self.simulated(scenario, controller, p)
+        except CCDError as error:
+            kept = getattr(error, "kept", None)
+            return kept if isinstance(kept, Trajectory) else str(error)
 
     def _by_chance(self, scenario: Scenario, X: Any, p: Array) -> Trajectory | str:
         """Three steps from states, by inputs and under disturbances of many sizes, or what a simulator says of them."""
@@ -179,10 +192,7 @@ class Plan:
         x = np.where(np.isfinite(upper - lower), (upper - lower) / 2, 1.0) * rng.standard_normal((PROBES, plant.nx))
         u = 10 ** rng.uniform(-2, 4, (PROBES, 1)) * rng.standard_normal((PROBES, plant.nu))
         w = 10 ** rng.uniform(-2, 2, (PROBES, 1, 1)) * rng.standard_normal((PROBES, 3, plant.nw))
-        try:
-            return self.simulated(Scenario(plant, x, w), lambda _: u, p)
-        except CCDError as error:
-            return str(error)
+        return self._tried(Scenario(plant, x, w), lambda _: u, p)
 
 
 def _reason(error: Exception, at: tuple[str, ...]) -> str:
@@ -417,6 +427,6 @@ def _check(plan: Plan, seed: int) -> None:
         for p in plan.designs.values():
             run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
             run.rewards(plan.objective)
-            if plan.metrics is not None:
-                metrics_of(plan.metrics, plan.simulated(scenario.first(1), Passive(scenario.plant.nu), p))
+            if plan.metrics is not None and isinstance(rest := plan.at_rest(scenario, p), Trajectory):
+                metrics_of(plan.metrics, rest)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

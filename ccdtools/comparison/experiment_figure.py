@@ -6,10 +6,11 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogFormatter
 
 from ccdtools.arrays import Array
 from ccdtools.comparison.compared import Compared
-from ccdtools.figure_style import blank, controller_colours, png, styled
+from ccdtools.figure_style import blank, controller_colours, label, png, styled
 from ccdtools.pages import page_of, picture_of
 from ccdtools_ground.door import has_method
 
@@ -37,12 +38,14 @@ def plot_experiment(experiment: Any, figure: Any = None) -> Any:
     names = list(dict.fromkeys(cell.names[0] for cell in cells))
     colours = controller_colours(names)
     with styled():
-        figure = blank(11.0, 2.2 + 0.22 * len(others)) if figure is None else figure
+        lines = sum(_row_name(cell).count("\n") + 1.5 for cell in others) + sum(label(one).count("\n") for one in names)
+        figure = blank(11.0, 3.0 + 0.13 * lines) if figure is None else figure
         has_method("figure", figure, "subplots", "a matplotlib Figure, or None for a new one")
         gains, profile, times = figure.subplots(1, 3, width_ratios=(1.3, 1, 0.8))
         _plot_gains(gains, others, colours, experiment.baseline)
         _plot_profiles(profile, experiment, colours)
         _plot_times(times, cells, colours)
+        figure.legend(*profile.get_legend_handles_labels(), fontsize="small", loc="outside lower center", ncols=5)
     return figure
 
 
@@ -59,6 +62,11 @@ def page(experiment: Any) -> str:
     )
 
 
+def _row_name(cell: Compared) -> str:
+    """Names of a cell, wrapped."""
+    return label(", ".join(name for name in cell.names if name))
+
+
 def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baseline: str) -> None:
     """Gain over the baseline with its interval, a row per cell."""
     rows = np.arange(len(cells))
@@ -70,10 +78,10 @@ def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baselin
         ax.plot([low, high], [row, row], color=colours[cell.names[0]], lw=1.5)
         ax.plot(mean, row, "o", color=colours[cell.names[0]], ms=4)
     ax.axvline(0.0, color="#444444", lw=0.9)
-    ax.set_yticks(rows, [", ".join(name for name in cell.names if name) for cell in cells])
+    ax.set_yticks(rows, [_row_name(cell) for cell in cells])
     ax.set_ylim(max(len(cells), 1) - 0.5, -0.5)
     ax.set_xscale("symlog", linthresh=1.0)  # one far behind hides no difference between the others
-    ax.set_xlabel(f"gain over {baseline} [%], 95 % interval")
+    ax.set_xlabel(f"gain over {label(baseline)} [%],\n95 % interval")
 
 
 def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
@@ -89,18 +97,17 @@ def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
             found.setdefault(one.controller, []).append(relative)
     every = np.concatenate([np.zeros(0), *(part for parts in found.values() for part in parts)])
     shown = every[np.isfinite(every)]
-    ends = np.quantile(shown, [0.01, 0.99]) if len(shown) else (-1.0, 1.0)
+    low, high = np.quantile(shown if len(shown) else [0.0], [0.01, 0.99])
     for k, name in enumerate(dict.fromkeys(one.controller for one in experiment.records)):
         values = np.sort(np.concatenate(found.get(name, [np.zeros(0)])))
         above = 1 - np.arange(len(values)) / max(len(values), 1)
-        label = name if len(values) else f"{name}: not made"
+        told = label(name if len(values) else f"{name}: not made")
         ax.step(
-            values, above, color=colours[name], label=label, where="pre", ls=("--", "-.", ":")[k % 3 - 1] if k else "-"
+            values, above, color=colours[name], label=told, where="pre", ls=("--", "-.", ":")[k % 3 - 1] if k else "-"
         )
-    ax.set_xlim(*ends)
-    ax.set_xlabel(f"return less {experiment.baseline}'s mean [%]")
+    ax.set_xlim((low, high) if low < high else (low - 1, high + 1))  # per cent
+    ax.set_xlabel(f"return less the mean of\n{label(experiment.baseline)} [%]")
     ax.set_ylabel("share of runs above")
-    ax.legend(fontsize="small")
 
 
 def _plot_times(ax: Any, cells: list[Compared], colours: dict[str, str]) -> None:
@@ -111,7 +118,9 @@ def _plot_times(ax: Any, cells: list[Compared], colours: dict[str, str]) -> None
         median, most = 1e6 * np.quantile(times, [0.5, 0.99])
         ax.plot([median, most], [row, row], color=colours[name], lw=1.5)
         ax.plot(median, row, "o", color=colours[name], ms=4)
-    ax.set_yticks(range(len(names)), names)
+    ax.set_yticks(range(len(names)), map(label, names))
     ax.set_ylim(max(len(names), 1) - 0.5, -0.5)
     ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))  # decades, as by default
     ax.set_xlabel("µs a step:\nmedian to 99th percentile")

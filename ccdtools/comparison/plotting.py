@@ -31,10 +31,12 @@ def plot_scores(comparison: Any, ax: Any = None) -> Any:
     InputError
         If `ax` is given and is none.
     """
-    if ax is None:
-        from matplotlib.figure import Figure
+    from ccdtools.figure_style import Figure, label
 
-        ax = Figure(figsize=(6.0, 0.6 + 0.4 * len(comparison)), layout="constrained").add_subplot()
+    names = [label(score.controller) for score in comparison]
+    if ax is None:
+        height = 0.8 + sum(0.25 + 0.15 * (name.count("\n") + 1) for name in names)
+        ax = Figure(figsize=(6.0, height), layout="constrained").add_subplot()
     has_method("ax", ax, "errorbar", "matplotlib axes, or None for a new figure")
     scores = list(comparison)
     baseline = getattr(comparison, "baseline", REFERENCE)
@@ -44,7 +46,7 @@ def plot_scores(comparison: Any, ax: Any = None) -> Any:
     ax.axvline(level, color="#444444", lw=0.9)
     rows = np.arange(len(scores))
     ax.errorbar(means, rows, xerr=np.abs(ends.T - means), fmt="o", capsize=3)
-    ax.set_yticks(rows, [score.controller for score in scores])
+    ax.set_yticks(rows, names)
     ax.invert_yaxis()
-    ax.set_xlabel(f"return ({baseline}'s mean, and differences in pairs with 95 % intervals)")
+    ax.set_xlabel(f"return: mean of {label(baseline)},\nand differences in pairs with 95 % intervals")
     return ax

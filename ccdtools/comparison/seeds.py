@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
 from ccdtools.arrays import Array
-from ccdtools.comparison.budgets import FEWEST_TRIMMED
 from ccdtools.statistics import PairedDifference, interval_of_crossed, kept_means, summarise_returns
 
 QUARTERS = (0.25, 0.25)
@@ -61,7 +60,7 @@ def interquartile_mean(values: Array) -> PairedDifference:
     if not len(parts):
         return PairedDifference(np.nan, (np.nan, np.nan))
     middle = float(trimmed_mean(parts, QUARTERS))
-    if len(parts) < FEWEST_TRIMMED or not np.isfinite(middle):
+    if int(QUARTERS[0] * len(parts)) == 0 or not np.isfinite(middle):  # nothing is trimmed
         return PairedDifference(middle, (np.nan, np.nan))
     low, high = trimmed_mean_ci(parts, QUARTERS)
     return PairedDifference(middle, (float(low), float(high)))

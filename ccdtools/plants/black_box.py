@@ -208,10 +208,17 @@ CURES = {
 def _begun(env: Any) -> Any:
     """Unwrapped environment after a reset, if it has a box of actions."""
     actions = getattr(env, "action_space", None)
-    if not hasattr(env, "unwrapped") or not hasattr(actions, "low") or len(actions.shape) != 1:  # type: ignore[union-attr]
-        got = shown(env) if actions is None else f"an environment with the actions {actions}"
+    box = hasattr(env, "unwrapped") and hasattr(actions, "low") and len(actions.shape) == 1  # type: ignore[union-attr]
+    if not box or isinstance(env, type):
+        got = shown(env) if actions is None or isinstance(env, type) else f"an environment with the actions {actions}"
         raise InputError("env", got, "a Gymnasium environment with a box of actions (nu,), such as by gymnasium.make")
-    env.reset(seed=0)
+    if env.unwrapped.action_space != actions:
+        got = f"a wrapper that makes the actions {actions} of {env.unwrapped.action_space}"
+        raise InputError("env", got, "an environment as it is", "Pass env.unwrapped, whose actions are the inputs.")
+    try:
+        env.reset(seed=0)
+    except Exception as error:
+        raise stopped("env", env.reset, error, "a reset") from error
     return env.unwrapped
 
 

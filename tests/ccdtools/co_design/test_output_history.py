@@ -70,7 +70,7 @@ def of_kind(kind, stiff):
     if kind == "function":
         return replace(problem, measurement=Measurement(lambda x, u, p: x[:, :1] * p[0] - u, noise=[0.1]))
     if kind == "collocation":
-        model = discretise(problem.model.plant, X=problem.X, U=problem.U, method="collocation")
+        model = discretise(problem.model.plant, X=problem.X, U=problem.U, method="collocation", sampling_guard="ignore")
         return replace(problem, model=model)
     return problem
 

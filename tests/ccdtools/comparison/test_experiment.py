@@ -87,6 +87,24 @@ def test_the_figure_says_what_was_not_made_and_hides_no_curve():
     assert shown["LQR"] == "-" != shown["same"]
 
 
+def apart(figure):
+    """Whether no two labels beside an axis overlap, and no axes and the legend."""
+    figure.draw_without_rendering()
+    groups = [[one.get_window_extent() for one in ax.get_yticklabels()] for ax in figure.axes]
+    groups.append([ax.get_tightbbox() for ax in figure.axes] + [one.get_window_extent() for one in figure.legends])
+    return not any(a.overlaps(b) for group in groups for i, a in enumerate(group) for b in group[:i])
+
+
+@pytest.mark.parametrize("laws", [2, 12])
+def test_long_names_do_not_overlap_in_the_figures(laws):
+    names = [f"nonlinear MPC with a Kalman filter, imitated, number {i}" for i in range(laws)]
+    start = Scenario(PLANT, np.ones((4, 1)), np.zeros((4, 5, 1)))
+    result = found(dict.fromkeys(names, LAWS["LQR"]), {"calm": start, "windy": start}, seeds=1)
+    assert apart(result.plot())
+    table = compare({name: LinearFeedback([[GAIN]]) for name in names}, start, objective=OBJECTIVE, X=([-50], [50]))
+    assert apart(table.plot().figure)
+
+
 def test_a_controller_that_stops_in_one_scenario_keeps_what_it_did_in_others():
     def fragile(design, rng):
         def law(x):
@@ -103,6 +121,23 @@ def test_a_controller_that_stops_in_one_scenario_keeps_what_it_did_in_others():
     assert near.evidence.lost == (0, 0)
     assert beyond.evidence.lost == (14, 0)
     assert "far: stopped with ZeroDivisionError: beyond" in beyond.remark
+
+
+def test_a_simulator_that_dies_without_input_loses_no_controller_under_which_it_lives(tmp_path):
+    def advance(x, u, w, p):
+        if x[0] < 0.3:
+            raise OSError("licence lost")
+        return 0.9 * x + 0.1 * u
+
+    start = Scenario(BlackBox(advance, nx=1, nu=1, dt=1.0), np.ones((2, 1)), np.zeros((2, 20, 0)))
+    laws = {"LQR": lambda design, rng: LinearFeedback([[-1.0]]), "none": lambda design, rng: Passive(1)}
+    options = {"seeds": 2, "folder": tmp_path, "metrics": lambda run: {"end": run.states[..., -1, 0].mean()}}
+    for _ in range(2):  # the second from the folder
+        result = found(laws, start, **options)
+        assert result["LQR"].metrics["end"] == pytest.approx(1.0)
+        assert result["none"].evidence.lost == (4, 0)
+        assert "OSError: licence lost" in result["none"].remark
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_returns_are_those_of_the_loop_by_hand_and_gains_are_in_pairs():

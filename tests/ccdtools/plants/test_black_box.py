@@ -302,6 +302,20 @@ def test_an_environment_without_a_state_says_what_to_pass(missing):
         from_gymnasium(bodies, **given)
 
 
+def test_an_environment_that_is_none_or_changed_by_a_wrapper_is_refused():
+    gymnasium = pytest.importorskip("gymnasium")
+    made = gymnasium.make("Pendulum-v1")
+    scaled = gymnasium.wrappers.RescaleAction(made, -1, 1)
+    closed = Bodies(made)
+    closed.reset = lambda seed: 1 / 0
+    for env, match in ((scaled, r"a wrapper that makes the actions .*Pass env\.unwrapped"),
+                       (closed, "stops with ZeroDivisionError"), (Bodies, "env: got the class Bodies"),
+                       ("Pendulum-v1", "such as by gymnasium.make")):  # fmt: skip
+        with pytest.raises(InputError, match=match):
+            from_gymnasium(env)
+    assert from_gymnasium(scaled.unwrapped).nx == 2
+
+
 @pytest.mark.parametrize(("name", "dt"), [("Pendulum-v1", 0.05), ("MountainCarContinuous-v0", 1.0)])
 def test_an_environment_of_classic_control_alone_is_a_plant(name, dt):
     gymnasium = pytest.importorskip("gymnasium")
