@@ -116,8 +116,7 @@ def ours_on(name: str, seed: int, runs: int) -> Controller:
     problem, design = stated(name)
     env = EpisodeEnv(problem, design, runs=runs, rng=np.random.default_rng(seed))
     generator = torch.Generator().manual_seed(seed)
-    iterations = STEPS // (runs * problem.steps)
-    trained = train(env, env.agent(seed=seed), iterations=iterations, steps=problem.steps, generator=generator)
+    trained = train(env, env.agent(seed=seed), iterations=STEPS // (64 * runs), steps=64, generator=generator)
     return LearnedPolicy(trained.agent, design)
 
 

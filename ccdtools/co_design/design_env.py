@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
+from ccdtools.co_design.environment import paid
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.exceptions import InputError
@@ -45,7 +46,7 @@ class DesignEnv(Base):
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
     and terminated where the objective has a terminal cost or the states diverge. The sum of its rewards is its return
-    without the cost of the design; where it diverges the last one counts for a whole episode: no early end pays.
+    without the cost of the design; where it diverges the last one counts more, see `EpisodeEnv`.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ class _Episodes:
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
             lost = self._stepper.left(self._x)
-            rewards, left = self._stepper.paid(rewards, lost), lost.numpy()
+            rewards, left = paid(self.problem, rewards, lost, self.divergence), lost.numpy()
             final = self._stepper.final_rewards(self._x)
         self._k += 1
         late = (self._k >= self.problem.steps) & ~left

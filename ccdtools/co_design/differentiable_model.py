@@ -155,12 +155,8 @@ class Stepper:
         return ~(x.abs() <= self.limit).all(-1)
 
     def within(self, divergence: float) -> Stepper:
-        """Stepper whose runs are lost beyond so many half-widths of X."""
+        """Stepper that loses runs so many half-widths of X away."""
         return replace(self, limit=self.limit * (divergence / self.problem.divergence))
-
-    def paid(self, rewards: Tensor, left: Tensor) -> Tensor:
-        """Rewards (n,) that count for a whole episode where a run is lost."""
-        return torch.where(left, torch.minimum(rewards, self.problem.steps * rewards), rewards)
 
     def outside(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
         """Largest violation (..., n) of the limits, in half-widths.

@@ -26,8 +26,8 @@ class EpisodeEnv:
     """Episodes of a problem that step together, for `learning.train`.
 
     Observations are (x, p), actions u, each (runs, ·) tensors. Episodes end together at the problem's time limit:
-    truncated, or terminated where the objective has a terminal cost. One that diverges terminates, with the cost of its
-    last sample for a whole episode, so that no early end pays, and restarts from its own initial state.
+    truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from its
+    own initial state. It costs as much as a whole episode at the edge of X, so that no early end pays.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class EpisodeEnv:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
         terminated = self._step.left(x)
-        reward = self._step.paid(reward, terminated)
+        reward = paid(self.problem, reward, terminated, self.divergence)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
         final = self._step.final_rewards(x)
@@ -177,6 +177,18 @@ class EpisodeEnv:
         self._past = torch.cat([latest, before[:, :-1]], dim=1)
         outputs, inputs = self._past.split([y.shape[1], u.shape[1]], dim=2)
         return observe(torch.cat([outputs.flatten(1), inputs.flatten(1)], dim=1), self._step.p)
+
+
+def paid(
+    problem: CoDesignProblem, rewards: Tensor, lost: Tensor, divergence: float, *, gamma: float = PPOConfig.gamma
+) -> Tensor:
+    """Rewards (n,) with the price of lost runs.
+
+    Where cost is quadratic it is that of a whole episode at the edge of X, discounted, so that no early end pays.
+    """
+    samples = (1 - gamma**problem.steps) / (1 - gamma)
+    price = max(1.0, samples / divergence**2) * rewards
+    return torch.where(lost, torch.minimum(rewards, price), rewards)
 
 
 def network_input_gradient(

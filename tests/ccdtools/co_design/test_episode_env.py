@@ -125,7 +125,7 @@ def pole(x0, push=0.2):
     )  # fmt: skip
 
 
-def test_an_episode_that_diverges_costs_more_than_any_that_does_not():
+def test_an_episode_that_diverges_costs_more_than_one_that_stays_at_the_edge_of_x():
     problem = pole([[0.9, 1.9], [0.0, 0.0]], push=0.0)
     env = EpisodeEnv(problem, [1.0], runs=2, rng=np.random.default_rng(0))
     starts = env.reset()
@@ -138,8 +138,9 @@ def test_an_episode_that_diverges_costs_more_than_any_that_does_not():
     assert (np.abs(last) > [1.5, 3.0]).any()
     assert (np.abs(last) < [2.0, 4.0]).all()
     np.testing.assert_array_equal(observation[row], starts[row])
-    within = problem.steps * (problem.objective.Q @ [1.5, 3.0] @ [1.5, 3.0] + 0.1 * 4) / 2
-    assert -float(reward[row]) > within
+    edge = last / 1.5
+    discounted = (0.99 ** np.arange(problem.steps)).sum()
+    assert -float(reward[row]) > discounted * float(edge @ problem.objective.Q @ edge)
 
 
 @pytest.mark.check
