@@ -74,6 +74,7 @@ def test_a_run_that_ended_with_another_policy_is_refused(told):
         served(told([("A", [("B", True)], True, False)], last="A"))
 
 
+@pytest.mark.check
 def test_a_finished_run_ends_with_the_policy_that_was_last_in_service(stored):
     names = [name for name, _ in served(stored("spring", run_spring) / "run")]
     assert names[0] == "design of generation 1"
