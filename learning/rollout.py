@@ -59,23 +59,25 @@ class Collector:
 
     Attributes
     ----------
-    returns : list of float
-        Undiscounted returns of the episodes that have ended, in the order of their ends.
+    ended : list of (float, float, int, bool)
+        Return, discounted return, length and termination of the episodes that have ended, in the order of their ends.
     episodes : (n,) tensor of int
         Number of episodes that have ended, of each environment.
     """
 
-    def __init__(self, env: VectorEnv, agent: ActorCritic, *, generator: torch.Generator) -> None:
+    def __init__(self, env: VectorEnv, agent: ActorCritic, *, generator: torch.Generator, gamma: float = 1.0) -> None:
         if not all(callable(getattr(env, name, None)) for name in ("reset", "step")):
             raise InputError("env", repr(env)[:60], "an environment with reset() and step(actions)")
         self.env = env
         self.agent = check_instance(agent, "agent", ActorCritic)
         self.generator = check_instance(generator, "generator", torch.Generator)
-        self.returns: list[float] = []
+        self.gamma = gamma
+        self.ended: list[tuple[float, ...]] = []
         first = env.reset()
         n = len(first) if isinstance(first, Tensor) and first.ndim > 0 else 1
         self._observation = self._taken("observations", first, n, len(agent.observation_offset))
-        self._sums = torch.zeros(len(self._observation), dtype=torch.float64)
+        self._sums = torch.zeros(len(self._observation), 2, dtype=torch.float64)  # undiscounted, and discounted
+        self._ages = torch.zeros(len(self._observation), dtype=torch.int64)
         self.episodes = torch.zeros(len(self._observation), dtype=torch.int64)
 
     @torch.no_grad()
@@ -140,27 +142,28 @@ class Collector:
         if not all(callable(getattr(self.env, name, None)) for name in ("state", "restore")):
             expected = "methods state() and restore(state), without which no training can go on exactly"
             raise InputError("env", repr(self.env)[:60], expected)
-        own = {"observation": self._observation, "sums": self._sums.clone(), "returns": [*self.returns]}
-        own["episodes"] = self.episodes.clone()
+        own = {"observation": self._observation, "ended": [*self.ended]}
+        own |= {name: getattr(self, name).clone() for name in ("_sums", "_ages", "episodes")}
         return {**own, "env": self.env.state(), "generator": self.generator.get_state()}  # type: ignore[attr-defined]
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
         self.env.restore(state["env"])  # type: ignore[attr-defined]
         self._observation = state["observation"].to(self._observation.device)
-        self._sums = state["sums"].clone()
-        self.returns = [*state["returns"]]
-        self.episodes = state["episodes"].clone()
+        self.ended = [*state["ended"]]
+        for name in ("_sums", "_ages", "episodes"):
+            setattr(self, name, state[name].clone())
         self.generator.set_state(state["generator"])
 
     def _count(self, reward: Tensor, terminated: Tensor, truncated: Tensor) -> None:
-        """Add a step to the returns."""
-        ended = terminated | truncated
-        self._sums += reward
-        self.episodes += ended
-        if ended.any():
-            self.returns += self._sums[ended].tolist()
-            self._sums[ended] = 0.0
+        """Add a step to the episodes."""
+        over = terminated | truncated
+        self._sums += torch.stack([reward, reward * self.gamma**self._ages], dim=1)
+        self._ages += 1
+        self.episodes += over
+        for i in over.nonzero()[:, 0].tolist():
+            self.ended.append((*self._sums[i].tolist(), int(self._ages[i]), bool(terminated[i])))
+            self._sums[i], self._ages[i] = 0.0, 0
 
 
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:

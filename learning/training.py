@@ -38,10 +38,12 @@ class TrainingRow:
         first has ended.
     judged : bool
         Whether so many have ended, and one in each environment: the first to end are often those that end early.
+    discounted : float
+        Mean discounted return of these episodes, which is what PPO raises.
     length : float
-        Steps of this update for each episode that ended in it; infinite where none did.
+        Mean length of these episodes [steps].
     terminated : float
-        Part of these episodes that was terminated, not truncated: of a plant lost, of a task done; NaN where none was.
+        Part of them that was terminated, not truncated: a plant lost, a task done, a terminal cost paid.
     update : UpdateStatistics
     """
 
@@ -50,6 +52,7 @@ class TrainingRow:
     episodes: int
     mean_return: float
     judged: bool
+    discounted: float
     length: float
     terminated: float
     update: UpdateStatistics
@@ -64,7 +67,7 @@ class Training:
     agent : ActorCritic
         The last one, which was trained in place.
     best : ActorCritic
-        A copy of the one with the largest `mean_return` that is `judged`; the last one where none is.
+        A copy of the one with the largest `discounted` return that is `judged`; the last one where none is.
     config : PPOConfig
     rows : tuple of TrainingRow
     """
@@ -90,10 +93,9 @@ class Training:
         judged = [row for row in self.rows if row.judged]
         if not judged:
             return f"{text}; {last.episodes} episodes ended, too few to say how good it is"
-        best = max(judged, key=lambda row: row.mean_return)
-        ends = (
-            f"; {last.terminated:.0%} of the last terminated, after {last.length:.3g} steps" if last.terminated else ""
-        )
+        best = max(judged, key=lambda row: row.discounted)
+        share = f"; {last.terminated:.0%} of the last were terminated, their mean length is {last.length:.3g} steps"
+        ends = share if last.terminated > 0 else ""
         return (
             f"{text}; mean return of recent episodes {last.mean_return:.5g} at the end,"
             f" {best.mean_return:.5g} at best (after {best.iteration} updates){ends}"
@@ -181,7 +183,8 @@ def train(
     if device is not None:
         _move(agent, device)
     ppo = PPO(agent, config, given=getattr(env, "given", 0))
-    run = _Run(ppo, Collector(env, agent, generator=generator), Training(agent, agent, config))
+    collector = Collector(env, agent, generator=generator, gamma=config.gamma)
+    run = _Run(ppo, collector, Training(agent, agent, config))
     try:
         file = None if checkpoint is None else Path(as_instance("checkpoint", checkpoint, (str, os.PathLike), "a path"))
         if file is not None and file.exists():
@@ -217,11 +220,11 @@ class _Run:
         self.ppo.set_rates(1 - (1 - config.final_rate) * done)
         decay_exploration(agent, self.first_std, config.final_std, done)
         rollout = self.collector.rollout(steps)
-        returns, ended = self.collector.returns, self.collector.episodes
-        window = max(EPISODES, len(ended))
-        mean_return = float(np.mean(returns[-window:])) if returns else float("nan")
-        judged = len(returns) >= window and bool(ended.all())
-        before = max((row.mean_return for row in result.rows if row.judged), default=-np.inf)
+        ended, episodes = self.collector.ended, self.collector.episodes
+        window = max(EPISODES, len(episodes))
+        mean_return, discounted, length, lost = np.mean(ended[-window:] or [(np.nan,) * 4], axis=0).tolist()
+        judged = len(ended) >= window and bool(episodes.all())
+        before = max((row.discounted for row in result.rows if row.judged), default=-np.inf)
         kept = copy.deepcopy(agent)
         try:
             update = self.ppo.update(rollout, generator=self.collector.generator, actor=k >= config.critic_only)
@@ -231,12 +234,9 @@ class _Run:
         except BaseException:  # an interrupt, too
             agent.load_state_dict(kept.state_dict())
             raise
-        over = int((rollout.terminated | rollout.truncated).sum())
-        length = rollout.rewards.numel() / over if over else float("inf")
-        lost = int(rollout.terminated.sum()) / over if over else float("nan")
         samples = rollout.rewards.numel() + (result.rows[-1].samples if result.rows else 0)
-        row = TrainingRow(k, samples, len(returns), mean_return, judged, length, lost, update)
-        best = kept if judged and mean_return > before else result.best
+        row = TrainingRow(k, samples, len(ended), mean_return, judged, discounted, length, lost, update)
+        best = kept if judged and discounted > before else result.best
         self.result = replace(result, best=best, rows=(*result.rows, row))
         return row
 

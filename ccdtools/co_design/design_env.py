@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
-from ccdtools.co_design.environment import paid
+from ccdtools.co_design.environment import divergence_of, paid
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_array, as_count, as_instance, as_positive, as_vector, shown
+from ccdtools_ground.door import as_array, as_count, as_instance, as_vector, shown
 
 if TYPE_CHECKING:
     from gymnasium import Env, spaces
@@ -46,7 +46,7 @@ class DesignEnv(Base):
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
     and terminated where the objective has a terminal cost or the states diverge. The sum of its rewards is its return
-    without the cost of the design; where it diverges the last one counts more, see `EpisodeEnv`.
+    without the cost of the design; where it diverges the last one counts 100 times, as in `EpisodeEnv`.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class DesignEnv(Base):
     design : (np,) array_like, optional
         The design of every episode. By default every reset draws a feasible one from the box, and the observation
         shows it. `reset(options={"design": p})` has the last word on an episode.
-    divergence : float
+    divergence : float, optional
         As for `EpisodeEnv`.
 
     Raises
@@ -148,7 +148,7 @@ class DesignVectorEnv(VectorBase):
     problem : CoDesignProblem
     num_envs : int
     design : (np,) array_like, optional
-    divergence : float
+    divergence : float, optional
         Both as for `DesignEnv`.
 
     Raises
@@ -160,7 +160,12 @@ class DesignVectorEnv(VectorBase):
     metadata = MODE
 
     def __init__(
-        self, problem: CoDesignProblem, num_envs: int, design: ArrayLike | None = None, *, divergence: float = 1.5
+        self,
+        problem: CoDesignProblem,
+        num_envs: int,
+        design: ArrayLike | None = None,
+        *,
+        divergence: float | None = None,
     ) -> None:
         self.num_envs = as_count("num_envs", num_envs)
         self._episodes = _Episodes("DesignVectorEnv", problem, design, self.num_envs, divergence)
@@ -234,12 +239,12 @@ class _Episodes:
     """Episodes (n,) of a problem that step together, each at a design of its own."""
 
     def __init__(
-        self, name: str, problem: CoDesignProblem, design: ArrayLike | None, runs: int, divergence: float
+        self, name: str, problem: CoDesignProblem, design: ArrayLike | None, runs: int, divergence: float | None
     ) -> None:
         if spaces is None:
             raise InputError(name, "no Gymnasium", "it installed: pip install ccdtools[gymnasium]")
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-        self.divergence = as_positive("divergence", divergence)
+        self.divergence = divergence_of(self.problem, divergence)
         self.fixed = None if design is None else problem.design.check_feasible(design)
         first = np.full(problem.design.dim, np.nan) if self.fixed is None else self.fixed
         self.designs = np.tile(first, (runs, 1))
@@ -282,8 +287,8 @@ class _Episodes:
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
             lost = self._stepper.left(self._x)
-            rewards, left = paid(self.problem, rewards, lost, self.divergence), lost.numpy()
             final = self._stepper.final_rewards(self._x)
+            rewards, left = paid(rewards, lost, final), lost.numpy()
         self._k += 1
         late = (self._k >= self.problem.steps) & ~left
         self.over = left | late

@@ -26,8 +26,8 @@ class EpisodeEnv:
     """Episodes of a problem that step together, for `learning.train`.
 
     Observations are (x, p), actions u, each (runs, ·) tensors. Episodes end together at the problem's time limit:
-    truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from its
-    own initial state. It costs as much as a whole episode at the edge of X, so that no early end pays.
+    truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from
+    another's initial state. Its last cost, with a terminal one, counts 100 times, as if it stayed there: no end pays.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ class EpisodeEnv:
         What is measured, with its noise.
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state.
-    divergence : float
-        Half-widths of X beyond which an episode has diverged. Of runs that go far, an agent that knows nothing yet
-        would learn little else than how far they went.
+    divergence : float, optional
+        Half-widths of X beyond which an episode has diverged; by default 1.5, or those of the problem if they are
+        fewer. Of runs that go far, an agent that knows nothing yet would learn little else than how far they went.
 
     Attributes
     ----------
@@ -64,10 +64,10 @@ class EpisodeEnv:
 
     def __init__(
         self, problem: CoDesignProblem, design: ArrayLike | Tensor, *, runs: int = 32, rng: np.random.Generator,
-        output: Any = None, history: int = 0, divergence: float = 1.5,
+        output: Any = None, history: int = 0, divergence: float | None = None,
     ) -> None:  # fmt: skip
-        self.divergence = as_positive("divergence", divergence)
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+        self.divergence = divergence_of(problem, divergence)
         self.runs = as_count("runs", runs)
         self.given = problem.design.dim
         self._rng = as_generator("rng", rng)
@@ -119,7 +119,8 @@ class EpisodeEnv:
         kept = ("_x0", "_w", "_x", "_e", *(("_v", "_past") if self.history else ()))
         tensors = {name: getattr(self, name) for name in kept}
         p = self._step.p.tolist()
-        return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state, "design": p}
+        own = {"k": self._k, "rng": self._rng.bit_generator.state, "design": p, "divergence": self.divergence}
+        return {"tensors": tensors, **own}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`.
@@ -127,11 +128,13 @@ class EpisodeEnv:
         Raises
         ------
         InputError
-            If it is of another number of runs, or at another design.
+            If it is of another number of runs, at another design, or of another divergence.
         """
-        runs, p = len(state["tensors"]["_x"]), self._step.p.tolist()
-        if (runs, state["design"]) != (self.runs, p):
-            raise InputError("state", f"{runs} runs at the design {state['design']}", f"{self.runs} at {p}")
+        kept = len(state["tensors"]["_x"]), state["design"], state["divergence"]
+        own = self.runs, self._step.p.tolist(), self.divergence
+        if kept != own:
+            got, expected = ("{} runs at the design {}, lost beyond {:g}".format(*one) for one in (kept, own))
+            raise InputError("state", got, expected)
         for name, tensor in state["tensors"].items():
             setattr(self, name, tensor)
         self._k = state["k"]
@@ -141,23 +144,23 @@ class EpisodeEnv:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
         terminated = self._step.left(x)
-        reward = paid(self.problem, reward, terminated, self.divergence)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
         final = self._step.final_rewards(x)
+        reward = paid(reward, terminated, final)
         if final is not None:  # what comes after the end is paid for: no value stands for it
             reward = reward + torch.where(truncated, final, 0.0)
             terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
         successor = self._seen(x, actions)
         if self._k >= self.problem.steps:
             return self.reset(), successor, reward, terminated, truncated
-        restart = terminated[:, None]
-        self._x = torch.where(restart, self._x0, x)
+        restart, again = terminated[:, None], self._x0.roll(self._k, 0)
+        self._x = torch.where(restart, again, x)
         self._e = torch.where(restart, 0.0, e)
         if not terminated.any():
             return successor, successor, reward, terminated, truncated
         past = self._past
-        following = torch.where(restart, self._begun(self._x0), successor)
+        following = torch.where(restart, self._begun(again), successor)
         if past is not None and self._past is not None:
             self._past = torch.where(restart[:, None], self._past, past)
         return following, successor, reward, terminated, truncated
@@ -179,16 +182,18 @@ class EpisodeEnv:
         return observe(torch.cat([outputs.flatten(1), inputs.flatten(1)], dim=1), self._step.p)
 
 
-def paid(
-    problem: CoDesignProblem, rewards: Tensor, lost: Tensor, divergence: float, *, gamma: float = PPOConfig.gamma
-) -> Tensor:
-    """Rewards (n,) with the price of lost runs.
+def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
+    """Half-widths of X beyond which an episode ends."""
+    return min(1.5, problem.divergence) if divergence is None else as_positive("divergence", divergence)
 
-    Where cost is quadratic it is that of a whole episode at the edge of X, discounted, so that no early end pays.
+
+def paid(rewards: Tensor, lost: Tensor, final: Tensor | None) -> Tensor:
+    """Rewards (n,) of runs that stay where they are lost.
+
+    Their last one, with a terminal one, comes again in every sample: a time limit is no end to what PPO raises, either.
     """
-    samples = (1 - gamma**problem.steps) / (1 - gamma)
-    price = max(1.0, samples / divergence**2) * rewards
-    return torch.where(lost, torch.minimum(rewards, price), rewards)
+    last = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)
+    return torch.where(lost, torch.minimum(rewards, last), rewards)
 
 
 def network_input_gradient(

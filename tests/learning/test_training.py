@@ -32,15 +32,19 @@ def test_a_rollout_goes_on_where_the_last_one_ended():
     collector = Collector(DoubleIntegrator(horizon=50), agent(), generator=generator())
     first, second = collector.rollout(20), collector.rollout(20)
     torch.testing.assert_close(second.observations[0], first.successors[-1])
-    assert not collector.returns
+    assert not collector.ended
     collector.rollout(20)
-    assert len(collector.returns) == 8
+    assert len(collector.ended) == 8
 
 
 def test_returns_of_episodes_are_the_sums_of_their_rewards():
-    collector = Collector(DoubleIntegrator(horizon=10), agent(), generator=generator())
-    rewards = torch.cat([collector.rollout(5).rewards, collector.rollout(5).rewards])
-    np.testing.assert_allclose(collector.returns, rewards.double().sum(0), rtol=1e-6)
+    collector = Collector(DoubleIntegrator(horizon=10), agent(), generator=generator(), gamma=0.9)
+    rewards = torch.cat([collector.rollout(5).rewards, collector.rollout(5).rewards]).double()
+    returns, discounted, lengths, terminated = np.array(collector.ended).T
+    np.testing.assert_allclose(returns, rewards.sum(0), rtol=1e-6)
+    np.testing.assert_allclose(discounted, 0.9 ** np.arange(10) @ rewards.numpy(), rtol=1e-6)
+    assert set(lengths) == {10}
+    assert not terminated.any()
 
 
 def test_observations_seen_in_parts_are_normalised_by_their_mean_and_spread():
@@ -161,7 +165,7 @@ def test_a_state_stays_as_it_is_while_the_training_goes_on():
     again = collector.rollout(25)
     assert torch.equal(first.rewards, again.rewards)
     collector.restore(state)
-    assert len(collector.returns) == len(state["returns"]) == 0
+    assert len(collector.ended) == len(state["ended"]) == 0
 
 
 def test_one_sample_is_enough_for_an_update():
