@@ -102,10 +102,14 @@ class QuantileRegressor:
 def _dense(name: str, values: Any) -> Any:
     """Array of what numpy takes for one, in the words of scikit-learn where it does not."""
     if values is None:
-        raise InputError(name, "None", "targets", "Fit requires y to be passed, but the target y is None.")
+        cure = "Fit requires y to be passed, but the target y is None." if name == "y" else ""
+        raise InputError(name, "None", "an array", cure)
     if hasattr(values, "toarray"):
         raise InputError(name, "a sparse array", "a dense one", "Sparse data is not supported: pass X.toarray().")
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InputError(name, f"a ragged sequence ({error})", "an array") from None
     if np.iscomplexobj(array):
         raise InputError(name, "complex numbers", "real ones", "Complex data not supported.")
     if array.dtype == object:
@@ -127,5 +131,6 @@ def _not_fitted() -> InputError:
         from sklearn.exceptions import NotFittedError
     except ImportError:
         return InputError(*said)
-    kind: type[InputError] = type("NotFittedInputError", (InputError, NotFittedError), {})
+    again = {"__reduce__": lambda _: (_not_fitted, ())}  # pickled as the call that makes it
+    kind: type[InputError] = type("NotFittedInputError", (InputError, NotFittedError), again)
     return kind(*said)

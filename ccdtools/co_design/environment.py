@@ -27,7 +27,7 @@ class EpisodeEnv:
 
     Observations are (x, p), actions u, each (runs, ·) tensors. Episodes end together at the problem's time limit:
     truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from
-    another's initial state. Its last cost, with a terminal one, counts 100 times, as if it stayed there: no end pays.
+    another's initial state. It costs what staying at the edge of X would, where it has left it, so that no end pays.
 
     Parameters
     ----------
@@ -143,11 +143,10 @@ class EpisodeEnv:
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
-        terminated = self._step.left(x)
+        reward, terminated = paid(self._step, x, actions, reward)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
         final = self._step.final_rewards(x)
-        reward = paid(reward, terminated, final)
         if final is not None:  # what comes after the end is paid for: no value stands for it
             reward = reward + torch.where(truncated, final, 0.0)
             terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
@@ -187,13 +186,20 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
     return min(1.5, problem.divergence) if divergence is None else as_positive("divergence", divergence)
 
 
-def paid(rewards: Tensor, lost: Tensor, final: Tensor | None) -> Tensor:
-    """Rewards (n,) of runs that stay where they are lost.
+def paid(step: Stepper, x: Tensor, u: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor]:
+    """Rewards (n,) at states (n, nx), and which runs are lost.
 
-    Their last one, with a terminal one, comes again in every sample: a time limit is no end to what PPO raises, either.
+    One that is lost stays at the edge of X, where it has left it, with its input: a time limit is no end to what PPO
+    raises, either.
     """
-    last = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)
-    return torch.where(lost, torch.minimum(rewards, last), rewards)
+    lost = step.left(x)
+    if not lost.any():
+        return rewards, lost
+    scale = x.new_tensor(step.problem.state_scale.tolist())
+    edge = x.nan_to_num(torch.inf).clamp(-scale, scale)
+    last, final = step.rewards(edge[None], u[None], edge[None])[0], step.final_rewards(edge)
+    staying = (last if final is None else last + final) / (1 - PPOConfig.gamma)
+    return torch.where(lost, torch.minimum(rewards, staying), rewards), lost
 
 
 def network_input_gradient(

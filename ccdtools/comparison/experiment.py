@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -164,7 +164,7 @@ class Plan:
         if sensor is not None and isinstance(rest, Trajectory):
             last = np.ones((1, scenario.plant.nu))
             yield np.array([sensor(k, x[None], last) for k, x in enumerate(rest.states[0, :-1])])
-        told = self.metrics is not None and isinstance(rest, Trajectory)
+        told = self.metrics is not None and self.whole(rest, scenario)
         yield sorted(metrics_of(self.metrics, rest).items()) if told else {}  # type: ignore[arg-type]
         for run in (rest, self._by_chance(scenario, X, p)):
             if isinstance(run, Trajectory):
@@ -172,6 +172,11 @@ class Plan:
                 yield from (run.states, run.rewards(self.objective), outside.peak)
             else:
                 yield run
+
+    @staticmethod
+    def whole(run: Trajectory | str, scenario: Scenario) -> TypeGuard[Trajectory]:
+        """Whether a simulator has gone to the end."""
+        return isinstance(run, Trajectory) and run.inputs.shape[1] == scenario.steps
 
     def at_rest(self, scenario: Scenario, p: Array) -> Trajectory | str:
         """A run without input, up to where a simulator stops, or what it says."""
@@ -425,8 +430,11 @@ def _check(plan: Plan, seed: int) -> None:
     """Raise an `InputError` unless designs, limits and objective fit the plants."""
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
-            run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
+            run = plan.at_rest(scenario.first(1, 1), p)
+            if isinstance(run, str):  # each controller is told of it
+                continue
             run.rewards(plan.objective)
-            if plan.metrics is not None and isinstance(rest := plan.at_rest(scenario, p), Trajectory):
+            rest = plan.at_rest(scenario, p)
+            if plan.metrics is not None and plan.whole(rest, scenario):
                 metrics_of(plan.metrics, rest)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

@@ -41,6 +41,8 @@ def plot_experiment(experiment: Any, figure: Any = None) -> Any:
         lines = sum(_row_name(cell).count("\n") + 1.5 for cell in others) + sum(label(one).count("\n") for one in names)
         figure = blank(11.0, 3.0 + 0.13 * lines) if figure is None else figure
         has_method("figure", figure, "subplots", "a matplotlib Figure, or None for a new one")
+        if figure.get_layout_engine() is None:
+            figure.set_layout_engine("constrained")
         gains, profile, times = figure.subplots(1, 3, width_ratios=(1.3, 1, 0.8))
         _plot_gains(gains, others, colours, experiment.baseline)
         _plot_profiles(profile, experiment, colours)

@@ -238,12 +238,12 @@ def _cost_text(model: SampledModel, accuracy: float, region: Region) -> str:
     """Text on the parts that an accuracy takes, and the accuracy that a quarter of them has."""
     fewer = max(1, model.substeps // 4)
     coarse = _error(model.plant, model.dt, model.method, fewer, region)
+    own = "" if model.method == "rk4" else f"{model.substeps} parts by collocation, as long as "
     parts = f"{model.parts} Runge–Kutta parts a sample"
-    less = f"accuracy={1.1 * coarse.relative:.2g} takes" if math.isfinite(coarse.relative) else "nothing is reached by"
+    less = f"{fewer} reach {coarse.relative:.2g}" if math.isfinite(coarse.relative) else f"{fewer} do not suffice"
     return (
-        f"dt = {model.dt:g} s takes {'' if model.method == 'rk4' else f'{model.substeps} parts by collocation, or '}"
-        f"{parts} at accuracy={accuracy:g}; {less} about {fewer}. Hardest is {_place(model.plant, coarse)}: narrow X, "
-        "U and W if the plant does not go there, or shorten dt."
+        f"dt = {model.dt:g} s takes {own}{parts} at accuracy={accuracy:g}; {less}. "
+        f"Hardest is {_place(model.plant, coarse)}: narrow X, U and W if the plant does not go there, or shorten dt."
     )
 
 

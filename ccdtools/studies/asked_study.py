@@ -12,6 +12,7 @@ from ccdtools.disturbances.recordings import read_disturbance, read_road, read_s
 from ccdtools.exceptions import InputError
 from ccdtools.studies.loading import load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
+from ccdtools.studies.price import DEFAULT_PRICE
 from ccdtools.studies.redesign_cost import RedesignCost
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.study import Study
@@ -36,10 +37,11 @@ def asked_study(options: Options, recording: Recorded | None = None) -> tuple[St
              "limit_tolerance": options.limit_tolerance(), "filter": options.filter}  # fmt: skip
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if options.redesign_cost is not None:
-        changes["redesign_cost"] = RedesignCost.parse(options.redesign_cost)
+        price = options.redesign_price or DEFAULT_PRICE  # not that of the study
+        changes |= {"redesign_cost": RedesignCost.parse(options.redesign_cost), "redesign_price": price}
     with blamed_on_source_options(options):
         if source is not None:
-            changes["real"] = replace(study.real, disturbance=source)
+            changes["real"] = study.real.each(disturbance=source)
         return replace(study, **changes) if changes else study, sources
 
 

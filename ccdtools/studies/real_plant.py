@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -88,10 +89,16 @@ class RealPlant(Immutable):
             raise InputError("real.later", shown(self.later), "a sequence of RealPlant")
         for one in self.later:
             as_instance("real.later", one, RealPlant, "a sequence of RealPlant")
+            if one.later:
+                raise InputError("real.later", "one with a `later` of its own", "all in one sequence")
             for name in ("runs", "steps"):
                 if getattr(one, name) != getattr(self, name):
                     raise InputError("real.later", f"{getattr(one, name)} {name}", f"{getattr(self, name)}, as before")
         self._set(later=tuple(self.later))
+
+    def each(self, **changes: Any) -> RealPlant:
+        """This plant, and what comes later, with changes."""
+        return replace(self, **changes, later=tuple(replace(one, **changes) for one in self.later))
 
     def met_by(self, generation: int) -> RealPlant:
         """Real plant that a generation meets, from 1 on."""

@@ -81,7 +81,8 @@ class RedesignCost:
         expected = 'a text like "500 EUR, serves 2000, worth 0.3, logging 20", or "12 return, serves 200"'
         first, *others = [part.split() for part in text.split(",")] if isinstance(text, str) else [[]]
         names = [part[0] if part else "" for part in others]
-        if {len(part) for part in (first, *others)} != {2} or not {*names} <= {"serves", "worth", "logging"}:
+        known = sorted({"serves", "worth", "logging"} & {*names})
+        if {len(part) for part in (first, *others)} != {2} or sorted(names) != known:
             raise InputError(argument, shown(text), expected)
         try:
             amounts = {name: float(amount) for name, amount in [("cost", first[0]), *map(tuple, others)]}

@@ -329,5 +329,5 @@ class Study(Immutable):
         if x0 is None:
             return self if p0 is None else replace(self, p0=p0)
         x0 = as_vector("x0", x0, self.plant.nx, of="one per state")
-        real = replace(self.real, x0=x0) if np.array_equal(self.real.x0, self.x0) else self.real
+        real = self.real.each(x0=x0) if np.array_equal(self.real.x0, self.x0) else self.real
         return replace(self, x0=x0, real=real, p0=self.p0 if p0 is None else p0, starts=None)

@@ -40,7 +40,7 @@ def warn_of_stuck(
     sigma = deviations()
     for j in map(int, np.flatnonzero(repeats.any(axis=(0, 1)) & (sigma > 0))):
         run, first, length = _longest(repeats[:, :, j])
-        seen = signals[:, :, j][np.isfinite(signals[:, :, j])]
+        seen = signals[run, :, j][np.isfinite(signals[run, :, j])]
         steps = np.diff(np.unique(seen))
         rounded = rounding * np.abs(seen).max()
         step = max(steps.min() if len(steps) else 0.0, rounded)
@@ -49,10 +49,12 @@ def warn_of_stuck(
         if not moves > 0:
             continue
         chance = repeats[:, :, j].size * (2 * norm.cdf(step / (2 * moves)) - 1) ** length
-        if chance <= level:
+        if chance <= level / len(names):
             said = f"{names[j]} repeats {signals[run, first, j]:g} over {length + 1} samples, from {first} of run {run}"
             expected = f"the stated noise leaves that to chance in less than one of {1 / level:.0e} logs"
-            cure = "A sensor is stuck, or coarser than its noise: leave it out, or put NaN where it says nothing."
+            cure = (
+                "A sensor is stuck, or coarser than its noise, or the plant stands there: put NaN if it says nothing."
+            )
             warnings.warn(f"{argument}: {said}; {expected}. {cure}", UserWarning, stacklevel=4)
 
 
