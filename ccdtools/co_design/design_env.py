@@ -46,7 +46,7 @@ class DesignEnv(Base):
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
     and terminated where the objective has a terminal cost or the states diverge. The sum of its rewards is its return
-    without the cost of the design; where it diverges the last one is that of staying at the edge of X.
+    without the cost of the design; where it diverges the last one is that of staying there.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ class _Episodes:
         now = torch.from_numpy(np.minimum(self._k, self.problem.steps - 1))
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
-            rewards, lost = paid(self._stepper, self._x, inputs, rewards)
+            rewards, lost = paid(self._stepper, self._x, rewards)
             left, final = lost.numpy(), self._stepper.final_rewards(self._x)
         self._k += 1
         late = (self._k >= self.problem.steps) & ~left

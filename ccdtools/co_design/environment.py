@@ -27,7 +27,7 @@ class EpisodeEnv:
 
     Observations are (x, p), actions u, each (runs, ·) tensors. Episodes end together at the problem's time limit:
     truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from
-    another's initial state. It costs what staying at the edge of X would, where it has left it, so that no end pays.
+    another's initial state. It costs what staying where it was lost would, so that no end pays.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class EpisodeEnv:
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
-        reward, terminated = paid(self._step, x, actions, reward)
+        reward, terminated = paid(self._step, x, reward)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
         final = self._step.final_rewards(x)
@@ -186,19 +186,13 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
     return min(1.5, problem.divergence) if divergence is None else as_positive("divergence", divergence)
 
 
-def paid(step: Stepper, x: Tensor, u: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor]:
+def paid(step: Stepper, x: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor]:
     """Rewards (n,) at states (n, nx), and which runs are lost.
 
-    One that is lost stays at the edge of X, where it has left it, with its input: a time limit is no end to what PPO
-    raises, either.
+    One that is lost stays there: a time limit is no end to what PPO raises, either.
     """
-    lost = step.left(x)
-    if not lost.any():
-        return rewards, lost
-    scale = x.new_tensor(step.problem.state_scale.tolist())
-    edge = x.nan_to_num(torch.inf).clamp(-scale, scale)
-    last, final = step.rewards(edge[None], u[None], edge[None])[0], step.final_rewards(edge)
-    staying = (last if final is None else last + final) / (1 - PPOConfig.gamma)
+    lost, final = step.left(x), step.final_rewards(x)
+    staying = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)
     return torch.where(lost, torch.minimum(rewards, staying), rewards), lost
 
 

@@ -28,7 +28,7 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Passive
 from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
-from ccdtools.exceptions import CCDError, InputError
+from ccdtools.exceptions import CCDError, InputError, SimulatorError
 from ccdtools.jobs import as_jobs, as_they_end
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
@@ -430,8 +430,9 @@ def _check(plan: Plan, seed: int) -> None:
     """Raise an `InputError` unless designs, limits and objective fit the plants."""
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
-            run = plan.at_rest(scenario.first(1, 1), p)
-            if isinstance(run, str):  # each controller is told of it
+            try:
+                run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
+            except SimulatorError:  # each controller is told of it
                 continue
             run.rewards(plan.objective)
             rest = plan.at_rest(scenario, p)

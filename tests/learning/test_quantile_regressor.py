@@ -1,6 +1,7 @@
 """QuantileRegressor keeps scikit-learn's conventions, without scikit-learn, and holds its level with few samples."""
 
 import copy
+import pickle
 import sys
 import types
 
@@ -106,8 +107,9 @@ def test_before_a_fit_the_error_is_one_that_scikit_learn_knows_where_it_is_insta
     exceptions.NotFittedError = type("NotFittedError", (ValueError, AttributeError), {})
     monkeypatch.setitem(sys.modules, "sklearn", types.ModuleType("sklearn"))
     monkeypatch.setitem(sys.modules, "sklearn.exceptions", exceptions)
-    with pytest.raises(exceptions.NotFittedError, match="after `fit`"):
+    with pytest.raises(exceptions.NotFittedError, match="after `fit`") as raised:
         QuantileRegressor().predict(np.zeros((3, 2)))
+    assert isinstance(pickle.loads(pickle.dumps(raised.value)), exceptions.NotFittedError)
     monkeypatch.setitem(sys.modules, "sklearn.exceptions", None)
     with pytest.raises(InputError, match="after `fit`"):
         QuantileRegressor().predict(np.zeros((3, 2)))

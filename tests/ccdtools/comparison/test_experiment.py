@@ -131,7 +131,7 @@ def test_a_simulator_that_dies_without_input_loses_no_controller_under_which_it_
 
     start = Scenario(BlackBox(advance, nx=1, nu=1, dt=1.0), np.ones((2, 1)), np.zeros((2, 20, 0)))
     laws = {"LQR": lambda design, rng: LinearFeedback([[-1.0]]), "none": lambda design, rng: Passive(1)}
-    options = {"seeds": 2, "folder": tmp_path, "metrics": lambda run: {"end": run.states[..., -1, 0].mean()}}
+    options = {"seeds": 2, "folder": tmp_path, "metrics": lambda run: {"end": run.states[..., 20, 0].mean()}}
     for _ in range(2):  # the second from the folder
         result = found(laws, start, **options)
         assert result["LQR"].metrics["end"] == pytest.approx(1.0)

@@ -125,6 +125,7 @@ def test_a_text_states_what_a_redesign_costs():
         "500, serves 2",
         "5 EUR, serves 2, worth x",
         "5 EUR,",
+        "5 EUR, serves 1, serves 2",
     ):
         with pytest.raises(InputError, match=r"redesign_cost: .*expected a text like"):
             RedesignCost.parse(text)

@@ -33,6 +33,13 @@ def worn(**changes):
     )  # fmt: skip
 
 
+def test_another_start_is_that_of_later_plants_too():
+    study = worn().started(x0=[0.2, 0.1])
+    assert [one.x0.tolist() for one in (study.real, *study.real.later)] == [[0.2, 0.1]] * 2
+    with pytest.raises(InputError, match=r"real.later: got one with a `later`"):
+        replace(study.real, later=[study.real])
+
+
 @pytest.mark.check
 def test_the_second_generation_meets_the_worn_plant_says_so_and_the_third_follows_it(tmp_path):
     study = worn()
