@@ -193,7 +193,7 @@ def policy_from_scratch(
     """Agent that PPO trains with its defaults at a design (np,), by `updates` of `steps` of each of `runs`."""
     at("policy that PPO learns from scratch")
     seed = int(rng.integers(2**31))
-    env = EpisodeEnv(problem, design, runs=runs, rng=rng)
+    env = EpisodeEnv(problem, design, runs=runs, rng=rng, divergence=problem.divergence)
     generator = torch.Generator().manual_seed(seed)
     return train(env, env.agent(seed=seed), iterations=updates, steps=steps, generator=generator).agent
 
