@@ -65,7 +65,9 @@ class DesignEnv(Base):
 
     metadata = {"render_modes": []}  # noqa: RUF012  (the attribute that Gymnasium reads)
 
-    def __init__(self, problem: CoDesignProblem, design: ArrayLike | None = None, *, divergence: float = 1.5) -> None:
+    def __init__(
+        self, problem: CoDesignProblem, design: ArrayLike | None = None, *, divergence: float | None = None
+    ) -> None:
         self._episodes = _Episodes("DesignEnv", problem, design, 1, divergence)
         self.problem = problem
         self.observation_space, self.action_space = self._episodes.spaces()
@@ -160,13 +162,9 @@ class DesignVectorEnv(VectorBase):
     metadata = MODE
 
     def __init__(
-        self,
-        problem: CoDesignProblem,
-        num_envs: int,
-        design: ArrayLike | None = None,
-        *,
+        self, problem: CoDesignProblem, num_envs: int, design: ArrayLike | None = None, *,
         divergence: float | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.num_envs = as_count("num_envs", num_envs)
         self._episodes = _Episodes("DesignVectorEnv", problem, design, self.num_envs, divergence)
         self.single_observation_space, self.single_action_space = self._episodes.spaces()

@@ -189,7 +189,7 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
 def paid(step: Stepper, x: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor]:
     """Rewards (n,) at states (n, nx), and which runs are lost.
 
-    One that is lost stays there: a time limit is no end to what PPO raises, either.
+    One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either.
     """
     lost, final = step.left(x), step.final_rewards(x)
     staying = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)

@@ -129,7 +129,7 @@ class CoDesignProblem(Immutable):
         So many first states a policy does not see, see `history_problem`.
     divergence : float
         Half-widths of X beyond which a run is lost and ends. It bounds what a lost run costs: about the square of it
-        for a quadratic cost. Episodes that policies learn from end nearer, see `EpisodeEnv`.
+        for a quadratic cost. Episodes of `EpisodeEnv` end nearer.
 
     Raises
     ------

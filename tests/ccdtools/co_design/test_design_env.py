@@ -35,6 +35,12 @@ def episode(env, policy, **options):
     return None
 
 
+def test_episodes_end_where_the_problem_says_if_that_is_nearer(problem):
+    ends = [DesignEnv(replace(problem, divergence=far), problem.design.centre) for far in (1.1, 1000.0)]
+    lengths = [episode(env, lambda state, design: [1.0])[1] for env in ends]
+    assert lengths[0] < lengths[1] < problem.steps
+
+
 @pytest.mark.parametrize("drawn", [True, False])
 def test_the_checker_of_gymnasium_has_nothing_to_say(illustrative, suspension, drawn):
     for study in (illustrative, suspension):
