@@ -47,6 +47,7 @@ from learning import train
 STUDY = load_study("suspension")
 PROBLEM = STUDY.problem()
 RUNS = 50
+SEEDS = 10
 
 
 def from_scratch(design, rng, samples=192_000, runs=32):
@@ -105,41 +106,44 @@ def wrong_plants() -> dict:
     return {name: library.quarter_car(car=one, dt=PROBLEM.model.dt) for name, one in ({"nominal": car} | off).items()}
 
 
-def compared(seeds, jobs, folder=None, controllers=CONTROLLERS, **options):
+def compared(seeds, jobs, folder=None, **options):
     """The comparison."""
     return experiment(
-        controllers, SCENARIOS, designs=DESIGNS, seeds=seeds, objective=PROBLEM.objective, X=PROBLEM.X,
+        CONTROLLERS, SCENARIOS, designs=DESIGNS, seeds=seeds, objective=PROBLEM.objective, X=PROBLEM.X,
         limit=PROBLEM.limit, jobs=jobs, folder=folder, **options,
     )  # fmt: skip
 
 
-def short() -> dict:
-    """The same controllers, PPO trained on a tenth of the samples."""
-    return CONTROLLERS | {"PPO": lambda design, rng: from_scratch(design, rng, samples=19_200)}
+def timed(kind: str, jobs: int, folder: str | None = None) -> list:
+    """Rows of the comparison; its time is printed."""
+    start = time.monotonic()
+    rows = compared(SEEDS, jobs, folder).rows()
+    print(f"{kind}: {time.monotonic() - start:.0f} s", flush=True)
+    return rows
 
 
 def same() -> None:
-    """Rows of a short comparison in one process, two, on Dask, and killed and resumed: the same bits."""
+    """Rows of the comparison in one process, two, on Dask, and killed and resumed: the same bits."""
     from dask.distributed import Client, LocalCluster
 
-    whole = compared(3, 1, controllers=short()).rows()
-    two = compared(3, 2, controllers=short()).rows()
-    print(f"{len(whole)} rows; two processes: {'the same' if two == whole else 'OTHER'}")
+    whole = timed("one process", 1)
+    two = timed("two processes", 2)
+    print(f"{len(whole)} rows; two processes: {'the same' if two == whole else 'OTHER'}", flush=True)
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster),
         joblib.parallel_config(backend="dask"),
     ):  # fmt: skip
-        found = compared(3, 2, controllers=short()).rows()
+        found = timed("Dask", 2)
     print(f"Dask, two workers: {'the same' if found == whole else 'OTHER'}")
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(6):
             process = subprocess.Popen([sys.executable, __file__, "--part", folder], start_new_session=True)
-            time.sleep(rng.uniform(6.0, 15.0))
+            time.sleep(rng.uniform(20.0, 60.0))
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-            print(f"killed with {len(list(Path(folder).glob('*.npz')))} of 36 tasks kept", flush=True)
-        found = compared(3, 2, folder, controllers=short()).rows()
+            print(f"killed with {len(list(Path(folder).glob('*.npz')))} of 120 tasks kept", flush=True)
+        found = timed("the rest", 2, folder)
     print(f"killed six times and resumed: {'the same' if found == whole else 'OTHER'}")
 
 
@@ -223,7 +227,7 @@ def tables(number: int) -> None:
 def main() -> None:
     """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--page", type=Path)
     parser.add_argument("--folder", type=Path)
@@ -235,7 +239,7 @@ def main() -> None:
     asked = parser.parse_args()
     torch.set_num_threads(1)
     if asked.part:
-        compared(3, 2, asked.part, controllers=short())
+        compared(SEEDS, 2, asked.part)
     elif asked.same:
         same()
     elif asked.cover:
