@@ -190,7 +190,7 @@ def main() -> None:
                 scores.append(score(policy, name, seed))
             print(
                 f"{name:26s} {who:9s} median {np.median(scores):8.1f}, {min(scores):8.1f} to {max(scores):8.1f},"
-                f" {np.median(seconds):5.1f} s",
+                f" {np.median(seconds):5.1f} s, {ZOO[name][0] / np.median(seconds):.0f} steps a second",
                 flush=True,
             )
 

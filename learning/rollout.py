@@ -59,10 +59,12 @@ class Collector:
 
     Attributes
     ----------
-    ended : list of (float, float, int, bool)
-        Return, discounted return, length and termination of the episodes that have ended, in the order of their ends.
-    episodes : (n,) tensor of int
-        Number of episodes that have ended, of each environment.
+    ended : list of (float, float, int, bool, int)
+        Return, discounted return, length, termination and last step of the episodes that have ended, in that order.
+    steps : int
+        Steps of each environment so far.
+    ages : (n,) tensor of int
+        Steps of the episodes that have not ended.
     """
 
     def __init__(self, env: VectorEnv, agent: ActorCritic, *, generator: torch.Generator, gamma: float = 1.0) -> None:
@@ -77,8 +79,8 @@ class Collector:
         n = len(first) if isinstance(first, Tensor) and first.ndim > 0 else 1
         self._observation = self._taken("observations", first, n, len(agent.observation_offset))
         self._sums = torch.zeros(len(self._observation), 2, dtype=torch.float64)  # undiscounted, and discounted
-        self._ages = torch.zeros(len(self._observation), dtype=torch.int64)
-        self.episodes = torch.zeros(len(self._observation), dtype=torch.int64)
+        self.ages = torch.zeros(len(self._observation), dtype=torch.int64)
+        self.steps = 0
 
     @torch.no_grad()
     def rollout(self, steps: int) -> Rollout:
@@ -142,28 +144,27 @@ class Collector:
         if not all(callable(getattr(self.env, name, None)) for name in ("state", "restore")):
             expected = "methods state() and restore(state), without which no training can go on exactly"
             raise InputError("env", repr(self.env)[:60], expected)
-        own = {"observation": self._observation, "ended": [*self.ended]}
-        own |= {name: getattr(self, name).clone() for name in ("_sums", "_ages", "episodes")}
+        own = {"observation": self._observation, "ended": [*self.ended], "steps": self.steps}
+        own |= {name: getattr(self, name).clone() for name in ("_sums", "ages")}
         return {**own, "env": self.env.state(), "generator": self.generator.get_state()}  # type: ignore[attr-defined]
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
         self.env.restore(state["env"])  # type: ignore[attr-defined]
         self._observation = state["observation"].to(self._observation.device)
-        self.ended = [*state["ended"]]
-        for name in ("_sums", "_ages", "episodes"):
+        self.ended, self.steps = [*state["ended"]], state["steps"]
+        for name in ("_sums", "ages"):
             setattr(self, name, state[name].clone())
         self.generator.set_state(state["generator"])
 
     def _count(self, reward: Tensor, terminated: Tensor, truncated: Tensor) -> None:
         """Add a step to the episodes."""
-        over = terminated | truncated
-        self._sums += torch.stack([reward, reward * self.gamma**self._ages], dim=1)
-        self._ages += 1
-        self.episodes += over
-        for i in over.nonzero()[:, 0].tolist():
-            self.ended.append((*self._sums[i].tolist(), int(self._ages[i]), bool(terminated[i])))
-            self._sums[i], self._ages[i] = 0.0, 0
+        self._sums += torch.stack([reward, reward * self.gamma**self.ages], dim=1)
+        self.ages += 1
+        self.steps += 1
+        for i in (terminated | truncated).nonzero()[:, 0].tolist():
+            self.ended.append((*self._sums[i].tolist(), int(self.ages[i]), bool(terminated[i]), self.steps))
+            self._sums[i], self.ages[i] = 0.0, 0
 
 
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:

@@ -34,10 +34,10 @@ class TrainingRow:
     episodes : int
         Episodes that have ended so far.
     mean_return : float
-        Of the last episodes while exploring, at most 20, or one of each environment if these are more; NaN before the
-        first has ended.
+        Of the last episodes while exploring: those that ended within so many steps that 20 of the longest of late
+        could, so that short ones count by how often they occur. NaN where none did.
     judged : bool
-        Whether so many have ended, and one in each environment: the first to end are often those that end early.
+        Whether so many steps have been made, and an episode has ended in each environment.
     discounted : float
         Mean discounted return of these episodes, which is what PPO raises.
     length : float
@@ -220,10 +220,12 @@ class _Run:
         self.ppo.set_rates(1 - (1 - config.final_rate) * done)
         decay_exploration(agent, self.first_std, config.final_std, done)
         rollout = self.collector.rollout(steps)
-        ended, episodes = self.collector.ended, self.collector.episodes
-        window = max(EPISODES, len(episodes))
-        mean_return, discounted, length, lost = np.mean(ended[-window:] or [(np.nan,) * 4], axis=0).tolist()
-        judged = len(ended) >= window and bool(episodes.all())
+        ended, ages, now = self.collector.ended, self.collector.ages, self.collector.steps
+        longest = max([int(ages.max()), *(row[2] for row in ended[-max(EPISODES, len(ages)) :])])
+        window = longest * -(-EPISODES // len(ages))
+        recent = [row[:4] for row in ended if row[4] > now - window]
+        mean_return, discounted, length, lost = np.mean(recent or [(np.nan,) * 4], axis=0).tolist()
+        judged = now >= window and bool((ages < now).all())
         before = max((row.discounted for row in result.rows if row.judged), default=-np.inf)
         kept = copy.deepcopy(agent)
         try:

@@ -284,8 +284,8 @@ class _Episodes:
         now = torch.from_numpy(np.minimum(self._k, self.problem.steps - 1))
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
-            rewards, lost = paid(self._stepper, self._x, rewards)
-            left, final = lost.numpy(), self._stepper.final_rewards(self._x)
+            rewards, lost, final = paid(self._stepper, self._x, rewards)
+            left = lost.numpy()
         self._k += 1
         late = (self._k >= self.problem.steps) & ~left
         self.over = left | late

@@ -143,10 +143,9 @@ class EpisodeEnv:
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
-        reward, terminated = paid(self._step, x, reward)
+        reward, terminated, final = paid(self._step, x, reward)
         self._k += 1
         truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
-        final = self._step.final_rewards(x)
         if final is not None:  # what comes after the end is paid for: no value stands for it
             reward = reward + torch.where(truncated, final, 0.0)
             terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
@@ -186,14 +185,14 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
     return min(1.5, problem.divergence) if divergence is None else as_positive("divergence", divergence)
 
 
-def paid(step: Stepper, x: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor]:
-    """Rewards (n,) at states (n, nx), and which runs are lost.
+def paid(step: Stepper, x: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Rewards (n,) at states (n, nx), which runs are lost, and what an end there is rewarded with.
 
     One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either.
     """
     lost, final = step.left(x), step.final_rewards(x)
     staying = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)
-    return torch.where(lost, torch.minimum(rewards, staying), rewards), lost
+    return torch.where(lost, torch.minimum(rewards, staying), rewards), lost, final
 
 
 def network_input_gradient(

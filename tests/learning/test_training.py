@@ -40,10 +40,10 @@ def test_a_rollout_goes_on_where_the_last_one_ended():
 def test_returns_of_episodes_are_the_sums_of_their_rewards():
     collector = Collector(DoubleIntegrator(horizon=10), agent(), generator=generator(), gamma=0.9)
     rewards = torch.cat([collector.rollout(5).rewards, collector.rollout(5).rewards]).double()
-    returns, discounted, lengths, terminated = np.array(collector.ended).T
+    returns, discounted, lengths, terminated, ends = np.array(collector.ended).T
     np.testing.assert_allclose(returns, rewards.sum(0), rtol=1e-6)
     np.testing.assert_allclose(discounted, 0.9 ** np.arange(10) @ rewards.numpy(), rtol=1e-6)
-    assert set(lengths) == {10}
+    assert set(lengths) == set(ends) == {10}
     assert not terminated.any()
 
 
@@ -99,6 +99,21 @@ def test_the_episodes_that_end_first_do_not_say_which_agent_is_best():
     assert [row.judged for row in result.rows][:3] == [False] * 3
     assert all(row.mean_return < -10 for row in result.rows if row.judged)
     assert result.rows[0].mean_return == pytest.approx(-5)
+
+
+def test_recent_returns_do_not_swing_with_the_time_limit_that_all_episodes_share():
+    class Half(DoubleIntegrator):
+        """Every step costs 1; half of the environments end every five steps, and all at the time limit."""
+
+        def step(self, actions):
+            *_, ends = result = super().step(actions)
+            early = (torch.arange(8) < 4) & (self.k % 5 == 0)
+            return (*result[:2], torch.full((8,), -1.0), early & ~ends, ends)
+
+    rows = short(agent(), env=Half(horizon=40), iterations=30, steps=8).rows
+    judged = [row.mean_return for row in rows if row.judged]
+    assert len(judged) > 15
+    assert np.ptp(judged) < 1  # every 40 steps 32 episodes of five steps end and four of 40: −8.9 in the mean
 
 
 BROKEN = {
