@@ -20,6 +20,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.identified import IdentifiedChange, identified_change
 from ccdtools.twin.plant_fit import FitStatus, PlantFit, fit_plant
 from ccdtools.twin.unknown_plant import stated_plant
 from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, shown
@@ -36,8 +37,8 @@ class FittedGeneration:
         As deployed; of outputs where the problem has sensors.
     log : Trajectory
         Of the deployment, with its outputs.
-    fit : PlantFit or None
-        What all former logs told; None of the first generation.
+    fit : PlantFit, IdentifiedChange or None
+        What former logs told; None of the first generation.
     predicted, gain : PairedDifference or None
         Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
         the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
@@ -50,7 +51,7 @@ class FittedGeneration:
     design: Array
     controller: Any
     log: Trajectory
-    fit: PlantFit | None = None
+    fit: PlantFit | IdentifiedChange | None = None
     predicted: PairedDifference | None = None
     gain: PairedDifference | None = None
     accepted: bool = True
@@ -60,7 +61,7 @@ class FittedGeneration:
         """Decision and gain in a sentence."""
         if self.fit is None:
             return f"first design {np.round(self.design, 4)}"
-        if self.predicted is None:
+        if self.predicted is None and isinstance(self.fit, PlantFit):
             return f"no redesign: {self.fit.advice}"
         said = [f"{one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for one in (self.predicted, self.gain) if one]
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
@@ -75,9 +76,10 @@ def fitted_generations(
     """Generations of a problem on a real plant.
 
     Each is deployed, and its outputs logged, or its states where the problem has no sensors. The plant that all logs
-    tell (`fit_plant`) is designed for again, a learned policy from the one in service on, and the redesign tried on the
-    real plant if a gain is predicted whose interval lies above 0. It stays in service unless it is worse there beyond
-    chance, or loses more runs.
+    tell (`fit_plant`), or where nothing unknown is stated and all states are seen what the last log tells by least
+    squares (`identified_change`), is designed for again, a learned policy from the one in service on. The redesign is
+    tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it is worse
+    there beyond chance, or loses more runs.
 
     Parameters
     ----------
@@ -137,8 +139,12 @@ def fitted_generations(
     found = [logged(codesign(problem, method=by, design=design, rng=rng), accepted=True)]
     for _ in range(1, generations):
         before = found[-1]
-        fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
-        if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+        fit: PlantFit | IdentifiedChange
+        if plant is None and sensors is None:
+            fit = identified_change(problem, before.log)  # of an affine model, which is right where the loop is now
+        else:
+            fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
+        if isinstance(fit, PlantFit) and fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
             found.append(logged(before, fit))
             continue
         going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
@@ -157,7 +163,8 @@ def fitted_generations(
 
 
 def _predicted(
-    problem: CoDesignProblem, fit: PlantFit, one: Any, other: Any, draws: int, rng: np.random.Generator
+    problem: CoDesignProblem, fit: PlantFit | IdentifiedChange, one: Any, other: Any, draws: int,
+    rng: np.random.Generator,
 ) -> PairedDifference:  # fmt: skip
     """Gain of one over another on a fit's plant.
 

@@ -3,7 +3,11 @@ from ccdtools.evidence.switchback import Trial as Trial, switchback as switchbac
 from ccdtools.twin.deployment import deploy as deploy, deploy_and_update as deploy_and_update
 from ccdtools.twin.error_set import disturbance_set as disturbance_set
 from ccdtools.twin.free_running import free_running_bands as free_running_bands
-from ccdtools.twin.identified import identified_lqr as identified_lqr, identified_plant as identified_plant
+from ccdtools.twin.identified import (
+    identified_change as identified_change,
+    identified_lqr as identified_lqr,
+    identified_plant as identified_plant,
+)
 from ccdtools.twin.log_drift import drift_of_log as drift_of_log, outside_data as outside_data
 from ccdtools.twin.online import OnlineConfig as OnlineConfig
 from ccdtools.twin.plant_fit import OutputLog as OutputLog, PlantFit as PlantFit, fit_plant as fit_plant

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import affine_lqr
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.exceptions import InputError
+from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.models import Model, PlantOfModel
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.budgets import RIDGES
+from ccdtools.twin.budgets import BLOCKS, RIDGES
 from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, in_problem, residuals
-from ccdtools.twin.transport import carried
+from ccdtools.twin.transport import Transport, carried
+from ccdtools.twin.unknown_plant import moved_at_rest
 from ccdtools_ground.door import as_instance
 
 
@@ -50,15 +57,84 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> L
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
+    A, B, _ = problem.model.matrices(p)
+    dA, dB, c = fitted_change(_carried(problem, logs, p), problem.state_scale)
+    return affine_lqr(problem, p, A + dA, B + dB, c)
+
+
+def _carried(problem: CoDesignProblem, logs: Logs, p: Array | None = None) -> list[Residuals]:
+    """Errors of logs, at one design (np,): the last by default."""
     errors = errors_of(logs, problem.model)
     for i, log in enumerate(errors):
         check_errors(f"logs[{i}]", problem.model, log)
     in_problem(problem, errors)
-    A, B, _ = problem.model.matrices(p)
-    dA, dB, c = fitted_change(
-        [carried(problem.model, log, p, problem.state_scale) for log in errors], problem.state_scale
-    )
-    return affine_lqr(problem, p, A + dA, B + dB, c)
+    at = errors[-1].p if p is None else p
+    return [carried(problem.model, log, at, problem.state_scale) for log in errors]
+
+
+def identified_change(problem: CoDesignProblem, logs: Logs) -> IdentifiedChange:
+    """Affine change of a model, from logs.
+
+    Fitted as by `identified_lqr`. ``updated_problem(problem, identified_change(problem, log))`` is what LQR, MPC, sets
+    and every co-design take.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        On states that are seen, its model by `discretise`, not by collocation.
+    logs : Trajectory or Residuals, or a sequence of them
+        From `deploy`, or `twin.logs`. Those of other designs are carried to that of the last. An affine model is right
+        where the loop has been: the last log alone is often better than all.
+
+    Raises
+    ------
+    InputError
+        If there is no log, or one of another plant; or the model has no step to build on.
+    """
+    as_seen_problem(as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem"))
+    if isinstance(problem.model, SimulatedModel) or not problem.model.step.is_a("SXFunction"):
+        raise InputError("problem.model", repr(problem.model), "a model by discretise(plant), not by collocation")
+    return IdentifiedChange(_carried(problem, logs))
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedChange:
+    """Affine change of a model, from logs.
+
+    It is fitted to one-step errors at one design. At a design q it is T(q) (ΔA x + ΔB u + c), as errors are carried; see `Transport`. What no log excites stays as in
+    the model.
+
+    Attributes
+    ----------
+    errors : sequence of Residuals
+    """
+
+    errors: Sequence[Residuals]
+
+    def updated(self, problem: CoDesignProblem) -> CoDesignProblem:
+        """Problem on the changed model.
+
+        The constant enters with a further disturbance, which is 1.
+        """
+        model, scale = problem.model, problem.state_scale
+        x, u, w, p = (ca.SX.sym(*sized) for sized in zip("xuwp", (model.nx, model.nu, model.nw, problem.design.dim)))
+        after, signals = model.step(x, u, w, p), ca.vertcat(x, u, w)
+        E = ca.substitute(ca.jacobian(after, w), signals, ca.DM.zeros(signals.shape))
+        carry = Transport.at(model, self.errors[-1].p, scale).matrix(E)
+        dA, dB, c = map(ca.DM, fitted_change(self.errors, scale))
+        plant = Plant(
+            x, u, w, p, after + carry @ (dA @ x + dB @ u), problem.design, model.dt, continuous=False,
+            state_names=problem.state_names, input_names=problem.input_names,
+        )  # fmt: skip
+        plant, scenarios = moved_at_rest(problem, plant, carry @ c)
+        return replace(problem, model=discretise(plant), scenarios=scenarios)
+
+    def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> Iterator[CoDesignProblem]:
+        """Problems by stretches of the logs, drawn with replacement."""
+        parts = [log.part(slice(i, i + 1), slice(a, b)) for log in self.errors for i in range(log.runs)
+                 for a, b in pairwise(np.linspace(0, log.steps, -(-BLOCKS // log.runs) + 1, dtype=int))]  # fmt: skip
+        for _ in range(draws):
+            yield IdentifiedChange([parts[i] for i in rng.integers(0, len(parts), len(parts))]).updated(problem)
 
 
 @dataclass(frozen=True, eq=False)

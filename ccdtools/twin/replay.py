@@ -21,6 +21,7 @@ from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count, as_generator, as_instance, shown
 
 if TYPE_CHECKING:
+    from ccdtools.twin.identified import IdentifiedChange
     from ccdtools.twin.plant_fit import PlantFit
 
 
@@ -161,14 +162,15 @@ def replay_problem(
 
 
 def updated_problem(
-    problem: CoDesignProblem, twin: DigitalTwin | PlantFit, window: int | None = None, *, warm_up: int = 0,
-    starts: ArrayField = None,
+    problem: CoDesignProblem, twin: DigitalTwin | PlantFit | IdentifiedChange, window: int | None = None, *,
+    warm_up: int = 0, starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
     """Problem on the nominal model plus median, with the logged rest replayed.
 
     Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.
-    By `fit_plant`: the problem with its model at the likeliest parameters, and a constant part of w.
+    By `fit_plant`: the problem with its model at the likeliest parameters, and a constant part of w. By
+    `identified_change`: with its model changed so.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def updated_problem(
         If the twin has learned nothing yet, the problem has sensors but the twin is no `PlantFit`, or one that leaves
         something open or was not solved, or no logged run is as long as `window` and `warm_up`.
     """
-    if hasattr(twin, "updated"):  # a PlantFit, whose import takes long
+    if hasattr(twin, "updated"):  # a fit of the model, whose import takes long
         return twin.updated(as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem"))
     as_seen_problem(problem)
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")

@@ -62,9 +62,9 @@ class Transport(Immutable):
         return w, e - w @ self.E.T
 
     def matrix(self, E: Any) -> Any:
-        """Matrix T (nx, nx) at a design with `E` (nx, nw), array or tensor."""
-        if isinstance(E, np.ndarray):
-            return np.eye(len(self.E)) + (E - self.E) @ self.inverse
+        """Matrix T (nx, nx) at a design with `E` (nx, nw), array, tensor or expression."""
+        if not hasattr(E, "new_tensor"):
+            return (E - self.E) @ self.inverse + np.eye(len(self.E))
         own = E.new_tensor(self.E.tolist()).reshape(self.E.shape)
         inverse = E.new_tensor(self.inverse.tolist()).reshape(self.inverse.shape)
         return E.new_tensor(np.eye(len(self.E)).tolist()) + (E - own) @ inverse

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -82,20 +83,30 @@ class UnknownPlant:
         plant, slope = self.at(problem.design, values)
         sensors, scenarios = problem.measurement, problem.scenarios
         constant = values[len(values) - self.constants :]
-        if constant.any() or not slope.is_zero():
-            if not isinstance(scenarios, FixedStart | RandomStarts):
-                cure = "What the log tells of a constant part is added to its disturbance."
-                raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
-            w = scenarios.disturbance
-            w = Sum((w, Gaussian(0 * constant, constant))) if constant.any() else w
-            if not slope.is_zero():
-                one = ca.SX.sym("one")
-                plant = replace(plant, w=ca.vertcat(plant.w, one), dynamics=plant.dynamics + slope * one)
-                w = Stacked((w, Gaussian([0.0], [1.0])))
-            scenarios = replace(scenarios, disturbance=w)
+        if constant.any():
+            scenarios = disturbed(problem, lambda w: Sum((w, Gaussian(0 * constant, constant))))
+        plant, scenarios = moved_at_rest(replace(problem, scenarios=scenarios), plant, slope)
         if sensors is not None and isinstance(sensors.output, Plant):
             sensors = replace(sensors, output=plant)
         return replace(problem, model=_sampled(problem, plant), measurement=sensors, scenarios=scenarios)
+
+
+def disturbed(problem: CoDesignProblem, changed: Callable[[Any], Any]) -> Any:
+    """Scenarios with a changed disturbance."""
+    scenarios = problem.scenarios
+    if not isinstance(scenarios, FixedStart | RandomStarts):
+        cure = "What the log tells of a constant part is added to its disturbance."
+        raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
+    return replace(scenarios, disturbance=changed(scenarios.disturbance))
+
+
+def moved_at_rest(problem: CoDesignProblem, plant: Plant, slope: ca.SX) -> tuple[Plant, Any]:
+    """Plant and scenarios with `slope` (nx, 1) added, by a disturbance of 1."""
+    if slope.is_zero():
+        return plant, problem.scenarios
+    one = ca.SX.sym("one")
+    plant = replace(plant, w=ca.vertcat(plant.w, one), dynamics=plant.dynamics + slope * one)
+    return plant, disturbed(problem, lambda w: Stacked((w, Gaussian([0.0], [1.0]))))
 
 
 def _sampled(problem: CoDesignProblem, plant: Plant) -> Model:

@@ -201,3 +201,15 @@ def test_a_slope_enters_the_updated_plant_with_a_disturbance_of_one():
     assert (w[:, :, 1] == 1).all()
     assert B[1, 0] == pytest.approx(second.fit.values[0] * 0.05 / 1.3, rel=0.02)
     assert E[1, 1] == pytest.approx(-9.81 * second.fit.values[1] * 0.05, rel=0.02)
+
+
+def test_where_nothing_unknown_is_stated_least_squares_tell():
+    problem, real, _ = on_a_slope()
+    first, second = fitted_generations(problem, real, method=Nested("lqr"), design=[2.0], rng=np.random.default_rng(1))
+    assert second.accepted
+    w = Gaussian([1.5]).sample(1000, 100, np.random.default_rng(9))
+    own, other = (
+        Scenario(real.plant, [0.3, 0.0], w).run(one.controller, design=one.design).returns(problem.objective)
+        for one in (second, first)
+    )
+    assert (own - other).mean() > 0.08 * abs(other.mean())

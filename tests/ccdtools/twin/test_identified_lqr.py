@@ -1,5 +1,7 @@
 """LQR re-identified from logs: least squares, the offset, and what it is worth."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -12,14 +14,23 @@ from ccdtools import (
     Gaussian,
     InputError,
     LinearFeedback,
+    Nested,
     Plant,
     QuadraticObjective,
     Scenario,
+    codesign,
     deploy,
     discretise,
     saturated_lqr,
 )  # fmt: skip
-from ccdtools.twin import DigitalTwin, disturbance_set, identified_lqr
+from ccdtools.twin import (
+    DigitalTwin,
+    disturbance_set,
+    identified_change,
+    identified_lqr,
+    replay_problem,
+    updated_problem,
+)
 
 DESIGN, Q, R = [2.0, 0.5], np.eye(2), np.array([[0.1]])
 
@@ -30,6 +41,15 @@ def oscillator(mass=1.0, force=0.0, unit=1.0):
     space = DesignSpace(["k", "c"], lower=[1.0, 0.1], upper=[5.0, 1.0])
     push = (-p[0] * x[0] / unit - p[1] * x[1] / unit + u + w + force) / mass
     return Plant(x, u, w, p, ca.vertcat(x[1], push * unit), space, dt=0.1)
+
+
+def pendulum():
+    """A pendulum of the same sizes."""
+    plant = oscillator()
+    return replace(
+        plant,
+        dynamics=ca.vertcat(plant.x[1], plant.u + plant.w - plant.p[0] * ca.sin(plant.x[0]) - plant.p[1] * plant.x[1]),
+    )
 
 
 def problem_of(unit=1.0):
@@ -146,3 +166,57 @@ def test_logs_are_taken_as_they_were_deployed():
         assert W.volume == disturbance_set(errors, level=0.9, model=problem.model).volume
     with pytest.raises(InputError, match=r"logs\[0\].*with `model=` a Trajectory, too"):
         disturbance_set(log)
+
+
+def test_every_method_takes_the_model_that_a_log_tells():
+    problem, real = problem_of(), oscillator(1.6, 0.4)
+    log = logged(problem, real, wandering)
+    updated = updated_problem(problem, identified_change(problem, log))
+    A, B, _ = discretise(real).matrices(DESIGN)
+    np.testing.assert_allclose(updated.model.matrices(DESIGN)[0], A, atol=1e-6)
+    np.testing.assert_allclose(updated.model.matrices(DESIGN)[1], B, atol=1e-6)
+    law, known = saturated_lqr(updated, DESIGN), identified_lqr(problem, DESIGN, log)
+    np.testing.assert_allclose(law.K, known.K, rtol=1e-9)
+    np.testing.assert_allclose(law.offset, known.offset, rtol=1e-6)
+
+
+def test_a_design_is_found_for_what_a_log_tells():
+    problem = problem_of()
+    found = identified_change(problem, logged(problem, oscillator(force=0.4), wandering))
+    pushed = replace(problem, scenarios=FixedStart([0.5, 0.5], Gaussian([0.1], [0.4])))
+    own, truth = (
+        codesign(one, method=Nested(), design=DESIGN, rng=np.random.default_rng(0)).design
+        for one in (updated_problem(problem, found), pushed)
+    )
+    np.testing.assert_allclose(own, truth, atol=0.05)
+
+
+def test_a_change_is_carried_to_designs_that_no_log_has_seen():
+    problem = problem_of()
+    found = identified_change(problem, logged(problem, oscillator(force=0.4), wandering))
+    updated = updated_problem(problem, found)
+    for design in ([1.0, 0.1], [5.0, 1.0]):
+        A, B, E = discretise(oscillator(force=0.4)).matrices(design)
+        np.testing.assert_allclose(updated.model.matrices(design)[0], A, atol=1e-5)
+        np.testing.assert_allclose(updated.model.matrices(design)[2], np.hstack([E, 0.4 * B]), atol=1e-5)
+
+
+def test_plants_drawn_from_a_log_are_spread_about_the_truth():
+    problem, real = problem_of(), oscillator(1.6, 0.4)
+    found = identified_change(problem, logged(problem, real, wandering, noise=0.3))
+    A, B, _ = discretise(oscillator(1.6)).matrices(DESIGN)
+    drawn = [one.model.matrices(DESIGN) for one in found.drawn(problem, 40, np.random.default_rng(3))]
+    for k, truth in enumerate((A, B)):
+        told = np.array([one[k] for one in drawn])
+        assert (np.abs(told.mean(axis=0) - truth) < 4 * told.std(axis=0) + 1e-9).all()
+        assert (told.std(axis=0)[1] > 0).all()
+
+
+def test_what_a_change_cannot_be_built_on_is_named():
+    problem = problem_of()
+    stiff = replace(problem, model=discretise(pendulum(), method="collocation"))
+    with pytest.raises(InputError, match=r"problem\.model.*not by collocation"):
+        identified_change(stiff, logged(problem, oscillator(), wandering))
+    log = logged(problem, oscillator(force=1.0), wandering)
+    with pytest.raises(InputError, match=r"problem\.scenarios"):
+        updated_problem(replay_problem(problem, log, 20), identified_change(problem, log))
