@@ -101,8 +101,8 @@ def identified_change(problem: CoDesignProblem, logs: Logs) -> IdentifiedChange:
 class IdentifiedChange:
     """Affine change of a model, from logs.
 
-    It is fitted to one-step errors at one design. At a design q it is T(q) (ΔA x + ΔB u + c), as errors are carried; see `Transport`. What no log excites stays as in
-    the model.
+    It is fitted to one-step errors at one design. At a design q it is T(q) (ΔA x + ΔB u + c), as errors are carried;
+    see `Transport`. What no log excites stays as in the model.
 
     Attributes
     ----------
