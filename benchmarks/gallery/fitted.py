@@ -222,7 +222,9 @@ def measure(case: Case, method: Any, truth: Array, seed: int, plant: Plant | Non
         if place not in best or values.mean() > best[place][1].mean():
             best[place] = name, values
     gains = [paired_difference(own[-1], values) for _, values in best.values()]
-    told = " → ".join("kept" if k and not one.accepted else str(np.round(one.design, 4)) for k, one in enumerate(found))
+    told = " → ".join(
+        str(np.round(one.design, 4)) if one.accepted else "updated" if one.update else "kept" for one in found
+    )
     why = "; ".join(one.fit.status.name if one.predicted is None else "" for one in found[1:] if one.fit is not None)
     cells = [case.name, str(seed), told + (f" ({why})" if why.strip("; ") else ""),
              f"{own[0].mean():.2f}", f"{100 * worth / size:+.2f} %", *(f"{share:.0%}" for share in shares),

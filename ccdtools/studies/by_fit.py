@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,10 +21,12 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.identified import IdentifiedChange, identified_change
+from ccdtools.twin.identified import IdentifiedChange, identified_change, identified_lqr
+from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.plant_fit import FitStatus, PlantFit, fit_plant
 from ccdtools.twin.unknown_plant import stated_plant
 from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, shown
+from mpc import NotStabilisableError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,6 +47,8 @@ class FittedGeneration:
         the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
     accepted : bool
         Whether its design is in service for the first time.
+    update : PairedDifference or None
+        Measured gain of LQR by the logs at the former design, where that is what is deployed.
     agent : ActorCritic or None
         Networks of a learned policy.
     """
@@ -55,17 +60,20 @@ class FittedGeneration:
     predicted: PairedDifference | None = None
     gain: PairedDifference | None = None
     accepted: bool = True
+    update: PairedDifference | None = None
     agent: Any = None
 
     def __str__(self) -> str:
         """Decision and gain in a sentence."""
         if self.fit is None:
             return f"first design {np.round(self.design, 4)}"
-        if self.predicted is None and isinstance(self.fit, PlantFit):
-            return f"no redesign: {self.fit.advice}"
-        said = [f"{one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for one in (self.predicted, self.gain) if one]
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
-        return f"redesign {place}, predicted {said[0]}" + (f", measured {said[-1]}" if self.gain else "")
+        said = f"redesign {place}"
+        if isinstance(self.fit, PlantFit) and self.predicted is None:
+            said = f"no redesign: {self.fit.advice}"
+        words = {"predicted": self.predicted, "measured": self.gain, "LQR by the logs measured": self.update}
+        gains = [f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for name, one in words.items() if one]
+        return ", ".join([said, *gains])
 
 
 def fitted_generations(
@@ -79,7 +87,9 @@ def fitted_generations(
     tell (`fit_plant`), or where nothing unknown is stated and all states are seen what the last log tells by least
     squares (`identified_change`), is designed for again, a learned policy from the one in service on. The redesign is
     tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it is worse
-    there beyond chance, or loses more runs.
+    there beyond chance, or loses more runs: than what was deployed before, and than an update of it. Where states are
+    logged that is LQR of the affine model that they tell at the former design (`identified_lqr`), if it is better there
+    beyond chance and breaks no limit.
 
     Parameters
     ----------
@@ -123,20 +133,15 @@ def fitted_generations(
     if isinstance(getattr(sensors, "output", None), Plant) and isinstance(real.plant, Plant) and real.plant.ny:
         sensors = replace(sensors, output=real.plant)
 
-    def driven(one: Any, runs: int, seed: int) -> Trajectory:
-        """Log on the real plant, the same runs by the same seed."""
-        own = np.random.default_rng(seed)
-        w = real.disturbance.sample(runs, real.steps, own)
-        scenario = Scenario(real.plant, real.x0, w, output=sensors, seed=int(own.integers(2**31)))
-        return scenario.run(one.controller, design=one.design, limit=problem.limit)
+    on = _Deployments(problem, real, sensors)
 
-    def logged(one: Any, *rest: Any, accepted: bool = False) -> FittedGeneration:
+    def logged(one: Any, *rest: Any) -> FittedGeneration:
         """Generation of what is deployed."""
-        log = driven(one, real.runs, int(rng.integers(2**31)))
+        log = on.run(one, on.scenario(real.runs, int(rng.integers(2**31))))
         made = FittedGeneration(one.design, one.controller, log, *rest)
-        return replace(made, accepted=accepted, agent=getattr(one, "agent", None))
+        return replace(made, agent=getattr(one, "agent", None))
 
-    found = [logged(codesign(problem, method=by, design=design, rng=rng), accepted=True)]
+    found = [logged(codesign(problem, method=by, design=design, rng=rng))]
     for _ in range(1, generations):
         before = found[-1]
         fit: PlantFit | IdentifiedChange
@@ -144,22 +149,73 @@ def fitted_generations(
             fit = identified_change(problem, before.log)  # of an affine model, which is right where the loop is now
         else:
             fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
-        if isinstance(fit, PlantFit) and fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
-            found.append(logged(before, fit))
-            continue
-        going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
-        again = codesign(fit.updated(problem), method=going_on, design=before.design, rng=rng)
-        predicted = _predicted(problem, fit, again, before, draws, rng)
-        if not predicted.ci95[0] > 0:
-            found.append(logged(before, fit, predicted))
-            continue
-        seed = int(rng.integers(2**31))
-        runs = [driven(one, max(REAL_RUNS * problem.steps // real.steps, 2), seed) for one in (again, before)]
-        kept = ~(runs[0].diverged | runs[1].diverged)
-        gain = paired_difference(*(run.returns(problem.objective)[kept] for run in runs))
-        better = gain.ci95[1] >= 0 and runs[0].diverged.sum() <= runs[1].diverged.sum()
-        found.append(logged(again if better else before, fit, predicted, gain, accepted=better))
+        again: Any = None
+        predicted = gain = update = None
+        if not isinstance(fit, PlantFit) or fit.status in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+            going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
+            again = codesign(fit.updated(problem), method=going_on, design=before.design, rng=rng)
+            predicted = _predicted(problem, fit, again, before, draws, rng)
+            again = again if predicted.ci95[0] > 0 else None
+        told = _by_logs(problem, found)
+        deployed: Any = before
+        if told is not None or again is not None:
+            deployed, gain, update = on.trial(before, told, again, int(rng.integers(2**31)))
+        found.append(logged(deployed, fit, predicted, gain, deployed is again, update))
     return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Deployments:
+    """Runs of the real plant."""
+
+    problem: CoDesignProblem
+    real: RealPlant
+    sensors: Any
+
+    def scenario(self, runs: int, seed: int) -> Scenario:
+        """So many runs, the same by the same seed."""
+        rng = np.random.default_rng(seed)
+        w = self.real.disturbance.sample(runs, self.real.steps, rng)
+        return Scenario(self.real.plant, self.real.x0, w, output=self.sensors, seed=int(rng.integers(2**31)))
+
+    def run(self, one: Any, scenario: Scenario) -> Trajectory:
+        """Log of a design and its controller."""
+        return scenario.run(one.controller, design=one.design, limit=self.problem.limit)
+
+    def gain(self, after: Trajectory, before: Trajectory) -> PairedDifference:
+        """Gain on common runs that neither loses."""
+        kept = ~(after.diverged | before.diverged)
+        return paired_difference(*(run.returns(self.problem.objective)[kept] for run in (after, before)))
+
+    def trial(
+        self, before: Any, told: Any, again: Any, seed: int
+    ) -> tuple[Any, PairedDifference | None, PairedDifference | None]:
+        """What is deployed next, and the gains of a redesign that was tried and of an update that is deployed."""
+        scenario = self.scenario(max(REAL_RUNS * self.problem.steps // self.real.steps, 2), seed)
+        deployed, gain, update = before, None, None
+        old = best = self.run(before, scenario)
+        if told is not None:
+            run = self.run(told, scenario)
+            more = self.gain(run, old)
+            kept = violation(self.problem, scenario, run, old, self.problem.model) is None
+            if more.ci95[0] > 0 and run.diverged.sum() <= old.diverged.sum() and kept:
+                deployed, best, update = told, run, more
+        if again is not None:
+            run = self.run(again, scenario)
+            gain = self.gain(run, old)
+            if self.gain(run, best).ci95[1] >= 0 and run.diverged.sum() <= best.diverged.sum():
+                deployed, update = again, None
+        return deployed, gain, update
+
+
+def _by_logs(problem: CoDesignProblem, found: list[FittedGeneration]) -> FittedGeneration | None:
+    """What is deployed, with LQR by the logs at its design; None where outputs are logged, or there is no such LQR."""
+    deployed = found[-1]
+    logs = [one.log for one in found if np.array_equal(one.design, deployed.design)]  # none is carried to another
+    if problem.measurement is None:
+        with suppress(NotStabilisableError):
+            return replace(deployed, controller=identified_lqr(problem, deployed.design, logs))
+    return None
 
 
 def _predicted(

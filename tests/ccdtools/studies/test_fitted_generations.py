@@ -213,3 +213,59 @@ def test_where_nothing_unknown_is_stated_least_squares_tell():
         for one in (second, first)
     )
     assert (own - other).mean() > 0.08 * abs(other.mean())
+
+
+def valve(asymmetry=0.0, unknown=None):
+    """Mass on a spring and a damper that is designed; a valve may make it harder one way, so that motion has a mean."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2 if unknown else 1)
+    space = DesignSpace(["c"], [0.2], [3.0])
+    stiffness, load = (p[1], 0) if unknown == "stiffness" else (1, p[1] if unknown else 0)
+    if unknown:
+        space = DesignSpace(["c", unknown], [0.2, -2.0], [3.0, 4.0])
+    force = load - stiffness * x[0] - p[0] * (x[1] + asymmetry * ca.fabs(x[1])) + u + w
+    return Plant(x, u, w, p, [x[1], force], space, dt=0.1)
+
+
+def behind_a_valve(unknown, **changes):
+    """Two generations, and fresh returns of both."""
+    problem = CoDesignProblem(
+        discretise(valve()), U=(-6, 6), steps=50, objective=QuadraticObjective(np.diag([4.0, 1.0]), [[0.5]]),
+        scenarios=FixedStart([0.5, 0.0], Gaussian([2.0])), **({"X": (-6, 6), "limit_tolerance": "off"} | changes),
+    )  # fmt: skip
+    real = RealPlant(valve(0.8), Gaussian([2.0]), [0.5, 0.0], 100, 50)
+    generations = fitted_generations(
+        problem, real, method=Nested("lqr", starts=1, runs=100), plant=valve(unknown=unknown),
+        rng=np.random.default_rng(0),
+    )  # fmt: skip
+    fresh = Scenario(real.plant, [0.5, 0.0], Gaussian([2.0]).sample(2000, 50, np.random.default_rng(9)))
+    before, after = (fresh.run(one.controller, design=one.design).returns(problem.objective) for one in generations)
+    return generations, before, after
+
+
+def test_where_errors_last_the_law_by_the_logs_goes_into_service_at_the_former_design():
+    (first, second), before, after = behind_a_valve("stiffness")
+    assert second.fit.status.name == "LASTING"
+    assert not second.accepted
+    np.testing.assert_array_equal(second.design, first.design)
+    assert (after - before).mean() > 0.05 * abs(before.mean())
+    assert second.update.mean == pytest.approx((after - before).mean(), rel=0.25)
+    assert "LQR by the logs" in str(second)
+
+
+@pytest.mark.check
+def test_the_law_by_the_logs_stays_out_where_it_breaks_a_limit():
+    (first, second), *_ = behind_a_valve("stiffness", X=([-6, -6], [0.52, 6]), limit_tolerance=(0.001, 0.001))
+    assert second.update is None
+    assert second.controller is first.controller
+
+
+@pytest.mark.check
+def test_a_redesign_that_gains_less_than_the_law_by_the_logs_is_taken_back():
+    (first, second), before, after = behind_a_valve("load")
+    assert second.predicted.ci95[0] > 0
+    assert second.gain.ci95[0] > 0
+    assert not second.accepted
+    np.testing.assert_array_equal(second.design, first.design)
+    assert second.update.mean > second.gain.mean
+    assert second.update.mean == pytest.approx((after - before).mean(), rel=0.25)
+    assert "taken back" in str(second)
