@@ -15,12 +15,14 @@ from ccdtools.evidence.percent import word_of_gain
 from ccdtools.limits import Excursions, further_outside
 from ccdtools.statistics import PairedDifference
 
+STOPPED = "stopped"
+NONE = "none"
 LOSES_MORE = "loses more runs"
 OPEN = "open"
 RETURN_ONLY = " in return only"
 WORDS = (
-    LOSES_MORE, "worse", OPEN, *(f"{word}{RETURN_ONLY}" for word in ("not worse", "equal", "better")), "not worse",
-    "equal", "better",
+    STOPPED, NONE, LOSES_MORE, "worse", OPEN, *(f"{word}{RETURN_ONLY}" for word in ("not worse", "equal", "better")),
+    "not worse", "equal", "better",
 )  # fmt: skip
 Names = tuple[str, str, str, str]  # of controller, design, scenario and plant
 
@@ -35,6 +37,9 @@ class Compared:
         Of controller, design, scenario and plant.
     seeds, runs : int
         Seeds that it was made with, and runs of each.
+    stopped : int
+        Seeds for which no controller could be made, or a simulator stopped, but not with the baseline; the remark says
+        why.
     value : PairedDifference
         Mean return of the runs that did not diverge, with its 95 % interval.
     middle : PairedDifference
@@ -61,6 +66,7 @@ class Compared:
     names: Names
     seeds: int
     runs: int
+    stopped: int
     value: PairedDifference
     middle: PairedDifference
     evidence: Evidence
@@ -84,8 +90,13 @@ class Compared:
 
     @property
     def word(self) -> str:
-        """One of `WORDS`; "in return only" beyond the baseline's limits."""
+        """One of `WORDS`; "in return only" beyond the baseline's limits.
+
+        One that stopped is so whatever it gains elsewhere; one with a remark is no controller to compare with: "none".
+        """
         found = self.evidence
+        if self.stopped or self.remark:
+            return STOPPED if self.stopped else NONE
         if found.lost[0] > found.lost[1]:
             return LOSES_MORE
         ends = (found.gain.mean, *found.gain.ci95)
@@ -136,7 +147,7 @@ def compared(
     grouped = f"{len(records)} seeds of {runs} runs"
     median, most = np.median([(one.c_step_time, one.c_step_time_99) for one in made or records], axis=0)
     return Compared(
-        names, len(cells), runs,
+        names, len(cells), runs, len({one.seed for one in refused} - {one.seed for one in base_refused}),
         value=_mean(kept, fresh, [cell.series for cell in cells if not cell.lost.any()]),
         middle=interquartile_mean(_table(worst)) if cells else NOTHING,
         evidence=_evidence(names, baseline, pairs, fresh, (lost, base_lost), (begun, grouped)),

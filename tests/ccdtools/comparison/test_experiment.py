@@ -262,7 +262,7 @@ def test_a_controller_that_cannot_be_made_says_so_and_others_go_on():
     result = found(LAWS | {"PID": some})
     assert "got none" in result["PID"].remark
     assert np.isnan(result["PID"].value.mean)
-    assert result.verdicts["PID", ""].startswith("loses more runs")
+    assert result.verdicts["PID", ""].startswith("stopped")
     assert result["PID"].evidence.lost == (28, 0)
     assert np.isfinite(result["learned"].value.mean)
     assert "PID: seed 0: " in repr(result)
@@ -277,7 +277,13 @@ def test_a_controller_that_fails_for_one_seed_is_not_better_by_the_others():
     result = found({"LQR": lambda design, rng: Passive(1), "lucky": lucky}, seeds=8)
     assert 0 < result["lucky"].seeds < 8
     assert result["lucky"].evidence.gain.mean > 0
-    assert result.verdicts["lucky", ""].startswith("loses more runs")
+    assert result.verdicts["lucky", ""].startswith("stopped")
+
+
+def test_a_baseline_that_could_not_be_found_has_no_verdict():
+    result = found(LAWS | {"PID": lambda design, rng: Passive(1, remark="no gains were found")})
+    assert result.verdicts["PID", ""].startswith("none")
+    assert "PID: no gains were found" in repr(result)
 
 
 def test_a_missing_baseline_lets_nothing_be_better():
