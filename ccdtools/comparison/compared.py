@@ -61,6 +61,8 @@ class Compared:
         Median and 99th percentile of exported C [s], in the median of the seeds; NaN where there is none.
     remark : str
         Why seeds are missing, or what the controller says of itself.
+    apart : bool
+        Whether it says so: then it is none to compare with.
     """
 
     names: Names
@@ -79,6 +81,7 @@ class Compared:
     metrics: dict[str, float]
     c_step_time: tuple[float, float]
     remark: str
+    apart: bool
 
     @property
     def step_time(self) -> tuple[float, float]:
@@ -92,10 +95,10 @@ class Compared:
     def word(self) -> str:
         """One of `WORDS`; "in return only" beyond the baseline's limits.
 
-        One that stopped is so whatever it gains elsewhere; one with a remark is no controller to compare with: "none".
+        One that stopped is so whatever it gains elsewhere; one that is none to compare with is "none".
         """
         found = self.evidence
-        if self.stopped or self.remark:
+        if self.stopped or self.apart:
             return STOPPED if self.stopped else NONE
         if found.lost[0] > found.lost[1]:
             return LOSES_MORE
@@ -138,6 +141,7 @@ def compared(
     refused, base_refused = ([one for one in some if one.refused and one.seed not in met]
                              for some, met in ((records, own), (base, other)))  # fmt: skip
     told = [f"seed {one.seed}: {one.refused}" for one in refused]
+    own_words = [one.remark for one in records if one.remark]
     kept = [np.where(cell.lost, np.nan, cell.returns) for cell in cells]
     worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
     left = [_left(cell) for cell in cells]
@@ -159,7 +163,7 @@ def compared(
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
         c_step_time=(float(median), float(most)),
         metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
-        remark=next(iter([*told, *(one.remark for one in records if one.remark)]), ""),
+        remark=next(iter([*told, *own_words]), ""), apart=bool(own_words),
     )  # fmt: skip
 
 
