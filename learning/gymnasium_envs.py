@@ -182,7 +182,12 @@ class GymnasiumEnvs:
         if not isinstance(result, tuple) or len(result) != 5:
             raise InputError("env", f"{brief(repr(result))} of a step", "what Gymnasium states: five values")
         observation, reward, over, cut, _ = result
-        return self._seen(observation), as_number("env", reward, expected="finite rewards"), bool(over), bool(cut)
+        return (
+            self._seen(observation),
+            as_number("env", reward, expected="a finite number as reward"),
+            bool(over),
+            bool(cut),
+        )
 
     def _seen(self, observation: Any) -> Tensor:
         """Observation (n_obs,) as a tensor, if it is of the kind that the space states."""

@@ -127,7 +127,7 @@ class Collector:
     def _taken(self, name: str, value: Any, *shape: int, kind: torch.dtype = torch.float32) -> Tensor:
         """A copy of what the environment gave, which may use its own again."""
         if not isinstance(value, Tensor):
-            raise InputError("env", f"{name} of {type(value).__name__}", "a tensor")
+            raise InputError("env", f"{name} of {type(value).__name__}", "a tensor, see VectorEnv and GymnasiumEnvs")
         if value.shape != shape or (value.dtype is torch.bool) != (kind is torch.bool):
             got = f"{name} of shape {tuple(value.shape)}, {value.dtype}"
             raise InputError("env", got, f"a tensor of shape {shape}, {kind}")

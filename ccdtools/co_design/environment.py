@@ -120,7 +120,13 @@ class EpisodeEnv:
         tensors = {name: getattr(self, name) for name in kept}
         p = self._step.p.tolist()
         own = {"k": self._k, "rng": self._rng.bit_generator.state, "design": p, "divergence": self.divergence}
+        own["problem"] = self._stated
         return {"tensors": tensors, **own}
+
+    @property
+    def _stated(self) -> tuple[Any, ...]:
+        """What tells problems apart in words: steps, model and objective."""
+        return self.problem.steps, repr(self.problem.model), repr(self.problem.objective)
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`.
@@ -128,12 +134,13 @@ class EpisodeEnv:
         Raises
         ------
         InputError
-            If it is of another number of runs, at another design, or of another divergence.
+            If it is of another number of runs, at another design, of another divergence, or another problem's.
         """
-        kept = len(state["tensors"]["_x"]), state["design"], state["divergence"]
-        own = self.runs, self._step.p.tolist(), self.divergence
+        kept = len(state["tensors"]["_x"]), state["design"], state["divergence"], *state["problem"]
+        own = self.runs, self._step.p.tolist(), self.divergence, *self._stated
         if kept != own:
-            got, expected = ("{} runs at the design {}, lost beyond {:g}".format(*one) for one in (kept, own))
+            words = "{} runs at the design {}, lost beyond {:g}, {} steps of {}, {}"
+            got, expected = (words.format(*one) for one in (kept, own))
             raise InputError("state", got, expected)
         for name, tensor in state["tensors"].items():
             setattr(self, name, tensor)

@@ -155,8 +155,8 @@ def test_what_no_policy_can_be_trained_in_is_refused(name):
 
 
 FAILING = {
-    "a list of rewards": (lambda o, r, *rest: (o, [r], *rest), "finite rewards"),
-    "a reward that is no number": (lambda o, r, *rest: (o, float("nan"), *rest), "finite rewards"),
+    "a list of rewards": (lambda o, r, *rest: (o, [r], *rest), "a finite number as reward"),
+    "a reward that is no number": (lambda o, r, *rest: (o, float("nan"), *rest), "a finite number as reward"),
     "another shape": (lambda o, *rest: (o[:2], *rest), "shape"),
     "another type": (lambda o, *rest: (o.astype(np.float64), *rest), "float64"),
     "four values, as before Gymnasium": (lambda o, r, over, cut, _: (o, r, over, {}), "five values"),

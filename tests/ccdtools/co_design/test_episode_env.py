@@ -1,5 +1,7 @@
 """Episodes of a problem that step together: PPO learns from scratch in them."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -175,6 +177,18 @@ def test_a_training_says_how_many_of_its_episodes_were_lost():
     trained = train(env, env.agent(), iterations=2, steps=64, generator=torch.Generator().manual_seed(0))
     assert trained.rows[-1].terminated == 1.0
     assert "; 100% of the last were terminated, their mean length is " in trained.describe()
+
+
+@pytest.mark.parametrize("change", [
+    {"steps": 7}, {"objective": QuadraticObjective(np.eye(2), [[7.0]])},
+])  # fmt: skip
+def test_a_training_does_not_go_on_in_another_problem(illustrative, change):
+    problem = illustrative.problem()
+    kept = EpisodeEnv(problem, [1.0], runs=4, rng=np.random.default_rng(0))
+    kept.reset()
+    other = EpisodeEnv(replace(problem, **change), [1.0], runs=4, rng=np.random.default_rng(0))
+    with pytest.raises(InputError, match="state: got 4 runs at the design"):
+        other.restore(kept.state())
 
 
 def test_wrong_calls_name_their_argument(illustrative):
