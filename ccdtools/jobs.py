@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -55,12 +56,25 @@ def as_they_end(
     names : sequence of str
         Of the items: in one process the bar says which one it is at.
     progress : bool
+
+    Raises
+    ------
+    InputError
+        If a process ends before its work is done.
     """
     if jobs != 1 and len(items) > 1:
         from joblib import Parallel, delayed
 
         found = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(item) for item in items)
-        yield from bar(found, label=label, total=len(items), progress=progress)
+        ended = 0
+        try:
+            for value in bar(found, label=label, total=len(items), progress=progress):
+                ended += 1
+                yield value
+        except BrokenProcessPool as error:
+            at = f" at {names[ended]}, or at what follows it" if names else ""
+            cure = "It was killed, ran out of memory, or what it called ended it: jobs=1 shows where."
+            raise InputError("jobs", f"a process that ended{at}", "processes that live to the end", cure) from error
         return
     with bar(label=label, total=len(items), progress=progress) as shown_bar:
         for i, item in enumerate(items):

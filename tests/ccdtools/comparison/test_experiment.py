@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import subprocess
 import sys
@@ -278,6 +279,14 @@ def test_a_controller_that_fails_for_one_seed_is_not_better_by_the_others():
     assert 0 < result["lucky"].seeds < 8
     assert result["lucky"].evidence.gain.mean > 0
     assert result.verdicts["lucky", ""].startswith("stopped")
+
+
+def test_a_process_that_dies_is_named(tmp_path):
+    def dies(design, rng):
+        os._exit(9)
+
+    with pytest.raises(InputError, match=r"jobs: got a process that ended at .*, seed 0, or at what follows it"):
+        found(LAWS | {"dies": dies}, seeds=1, jobs=2, folder=tmp_path)
 
 
 def test_a_baseline_that_could_not_be_found_has_no_verdict():
