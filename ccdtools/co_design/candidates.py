@@ -195,7 +195,8 @@ def starts(
         inside[outside] = pool.contains(x[outside], outside)
     if not inside.any():
         where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
-        got = f"{samples} candidates of which none lies in {where[budget.option]}"
+        option = budget.option if pool.regions.stabilised.any() else "none"  # which then is the cause
+        got = f"{samples} candidates of which none lies in {where[option]}"
         cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
         raise InputError("samples", got, "at least one", cure)
     first = everyone[: -(-samples // CANDIDATES_PER_START)]

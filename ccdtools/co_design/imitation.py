@@ -1,4 +1,4 @@
-"""First policies, which imitate LQR or MPC of the model."""
+"""First policies, which imitate an expert or learn from scratch."""
 
 from __future__ import annotations
 
@@ -9,23 +9,28 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
-from ccdtools.co_design.design_controllers import long_mpc, own_cost, saturated_lqr
+from ccdtools.co_design.design_controllers import long_mpc, lqr_laws, own_cost, saturated_lqr
+from ccdtools.co_design.environment import EpisodeEnv
 from ccdtools.co_design.expert import ExpertData, expert_dataset
 from ccdtools.co_design.expert_loops import DesignLaw
 from ccdtools.co_design.loops import Law, loops_of, lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.secant import stochastic_linearisation
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from learning.networks import ActorCritic, NetworkConfig
+from learning.training import train
 from learning.warm_start import CloningConfig, fit_actor_critic, fit_further
 from mpc import MPCError
 
 EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
     "LQR": saturated_lqr,
+    "LQR of the secant": lambda problem, p: stochastic_linearisation(problem, p, np.random.default_rng(0)).controller,
     "nonlinear MPC": long_mpc,
     "economic MPC": lambda problem, p: long_mpc(problem, p, cost="objective"),
 }
@@ -36,7 +41,7 @@ class FirstPolicy(NamedTuple):
 
     agent: ActorCritic
     expert: str | DesignLaw
-    samples: int
+    samples: int  # none where there is no expert
     data: ExpertData | None = None  # where the samples begin all over X; None of an episode's own starts
 
 
@@ -51,16 +56,20 @@ def first_policy(
     ----------
     expert : {"auto", "lqr", "mpc", "explicit"} or function of (problem, design)
         What it imitates all over X and all designs, see `expert_dataset`, which takes the `options`. "auto" is LQR,
-        or, where LQR brings nothing to rest at the design, MPC of the model, see `planned_start`.
+        or, where LQR brings nothing to rest at the design, LQR of the secant or MPC of the model, see `planned_start`,
+        or, where no design has an expert, nothing: PPO learns from scratch.
     """
     if expert == "auto":
         if not lqr_is_expert(problem, design, copy.deepcopy(rng)):
-            at("first policy that imitates MPC of the model")
+            at("first policy that imitates the best expert")
             planned = planned_start(
                 problem, design, rng, all_over=all_over, runs=runs, network=network, cloning=cloning
             )
             if planned is not None:
                 return planned
+            designs = problem.design.spread()
+            if np.isnan(lqr_laws(problem, problem.model.matrices(designs), designs)[0]).any(axis=(1, 2)).all():
+                return FirstPolicy(policy_from_scratch(problem, design, rng), "auto", 0)
         expert = "lqr"
     data = expert_dataset(problem, **{"samples": 1000, **options}, rng=rng, expert=expert, progress=progress)
     cloning = CloningConfig() if cloning is None else cloning
@@ -71,6 +80,18 @@ def first_policy(
     return FirstPolicy(agent, expert, len(data.inputs), data)
 
 
+def policy_from_scratch(
+    problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, updates: int = 200, runs: int = 16,
+    steps: int = 64,
+) -> ActorCritic:  # fmt: skip
+    """Agent that PPO trains with its defaults at a design (np,), by `updates` of `steps` of each of `runs`."""
+    at("policy that PPO learns from scratch")
+    seed = int(rng.integers(2**31))
+    env = EpisodeEnv(problem, design, runs=runs, rng=rng, divergence=problem.divergence)
+    generator = torch.Generator().manual_seed(seed)
+    return train(env, env.agent(seed=seed), iterations=updates, steps=steps, generator=generator).agent
+
+
 def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, runs: int = 4) -> str | None:
     """Name of the best expert at a design (np,).
 
@@ -78,7 +99,7 @@ def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generato
     """
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     worth = {}
-    for name in EXPERTS if own_cost(problem) else [*EXPERTS][:2]:
+    for name in EXPERTS if own_cost(problem) else [*EXPERTS][:-1]:
         with suppress(MPCError, InputError):
             loops = loops_of(problem, EXPERTS[name](problem, design), design, x0, w)
             if loops.kept.any():

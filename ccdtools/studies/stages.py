@@ -63,7 +63,8 @@ class LoopStages:
         data = first.data
         expert = config.expert if callable(first.expert) else first.expert
         values = {"expert": expert, "samples": first.samples}
-        report = [f"LQR brings nothing to rest: {expert} of the model imitated in {first.samples} samples"]
+        imitated = f"{expert} of the model imitated in {first.samples} samples"
+        report = [f"LQR brings nothing to rest: {imitated if first.samples else 'PPO learned the policy from scratch'}"]
         if data is not None:
             assert data.sets is not None
             values |= {

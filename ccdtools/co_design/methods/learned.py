@@ -19,8 +19,7 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
-from ccdtools.co_design.environment import EpisodeEnv
-from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy
+from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy, policy_from_scratch
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
@@ -39,9 +38,9 @@ from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
 from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, has_method
 from learning.networks import ActorCritic
-from learning.training import train
 from mpc import MPCError
 
+FROM_SCRATCH = "PPO learned from scratch what the policy began with"
 LED_ASTRAY = (CoDesignStatus.GRADIENT_UNTRUSTED, CoDesignStatus.NOT_STATIONARY)
 
 
@@ -58,9 +57,9 @@ class Learned:
         `config.design_gradient` says what moves the design.
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
-        is made, or, where LQR brings nothing to rest, as in a swing-up, MPC of the model; and beside one that is far
-        worse than this expert at the first design, too: a policy that saturates wherever it is has no gradient. The
-        best end is handed out.
+        is made, or, where LQR brings nothing to rest, as in a swing-up, LQR of the secant or MPC of the model; without
+        any expert PPO learns one from scratch. One is made, too, beside one that is far worse than this expert at the
+        first design: a policy that saturates wherever it is has no gradient. The best end is handed out.
     config : CoDesignConfig
     judge : CoDesignProblem, optional
         What the iterates are scored on, if not the problem itself: for example replays of what was logged, where
@@ -125,7 +124,7 @@ class Learned:
         _check_objective(problem)
         task = Task(problem, judge, self.by, config, self.limits)
         first = partial(_first_agent, task, known, design, self.history, rng, progress=progress)
-        agent = first() if self.agent is None else self.agent
+        task, agent = first() if self.agent is None else (task, self.agent)
         check_agent(problem, agent)
         given = agent
         limits = self.limits
@@ -137,7 +136,7 @@ class Learned:
         found = chosen_valleys(replace(task, problem=known), design, rng)
         agents = [(task, agent)]
         if task.moves_policy and self.agent is not None and not problem.hidden and _spoilt(judge, agent, design, rng):
-            agents.append((task, first()))
+            agents.append((task, first()[1]))
         if self.from_scratch or (task.moves_policy and self._alone(known) and _does_nothing(known, design)):
             learned = policy_from_scratch(problem, design, rng)
             agents.append((_on_from_scratch(task, learned, design, rng), learned))
@@ -186,18 +185,6 @@ class Learned:
         return measured_problem(problem, self.history)
 
 
-def policy_from_scratch(
-    problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, updates: int = 200, runs: int = 16,
-    steps: int = 64,
-) -> ActorCritic:  # fmt: skip
-    """Agent that PPO trains with its defaults at a design (np,), by `updates` of `steps` of each of `runs`."""
-    at("policy that PPO learns from scratch")
-    seed = int(rng.integers(2**31))
-    env = EpisodeEnv(problem, design, runs=runs, rng=rng, divergence=problem.divergence)
-    generator = torch.Generator().manual_seed(seed)
-    return train(env, env.agent(seed=seed), iterations=updates, steps=steps, generator=generator).agent
-
-
 def _does_nothing(problem: CoDesignProblem, design: Array) -> bool:
     """Whether LQR has no gain, so that there is nothing to imitate."""
     try:
@@ -208,7 +195,7 @@ def _does_nothing(problem: CoDesignProblem, design: Array) -> bool:
 
 def _on_from_scratch(task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator) -> Task:
     """Task of a policy from scratch, by its gradient where this leads."""
-    task = replace(task, begun="PPO learned from scratch what the policy began with")
+    task = replace(task, begun=FROM_SCRATCH)
     own = replace(task, method="pathwise")
     return own if own.pathwise and _leads(task.problem, LearnedPolicy(agent, design), rng) else task
 
@@ -231,15 +218,15 @@ def _gradients(
 def _first_agent(
     task: Task, known: CoDesignProblem, design: Array, history: int | None, rng: np.random.Generator, *,
     progress: bool,
-) -> ActorCritic:  # fmt: skip
-    """Agent that imitates LQG, LQR or MPC of the model."""
+) -> tuple[Task, ActorCritic]:  # fmt: skip
+    """Task, and agent that it begins with."""
     problem = replace(known, measurement=None)
     if known.measurement is not None and history is not None:
         from ccdtools.co_design.output_history import warm_start_of_outputs
 
-        return warm_start_of_outputs(task.problem, known, rng)
-    expert = "auto" if task.moves_policy else "lqr"
-    return first_policy(problem, design, rng, expert=expert, all_over=task.designing, progress=progress).agent
+        return task, warm_start_of_outputs(task.problem, known, rng)
+    first = first_policy(problem, design, rng, all_over=task.designing, progress=progress)
+    return task if first.samples else replace(task, begun=FROM_SCRATCH), first.agent
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:

@@ -186,7 +186,7 @@ class Nested:
             known = replace(problem, measurement=None)  # a policy of the state, as LQR is
             agent = self.agent
             if agent is None:
-                agent = first_policy(known, known.design.centre, rng, expert="lqr", progress=progress).agent
+                agent = first_policy(known, known.design.centre, rng, progress=progress).agent
             return lambda v: LearnedCost(known, agent, scenarios, rng, self.by)
         law = LQR if self.inner == "lqr" else mpc_law(self.horizon, nonlinear=self.inner == "nmpc")
         return lambda v: LoopCost(problem, law, scenarios)

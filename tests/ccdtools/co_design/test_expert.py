@@ -161,5 +161,5 @@ def test_a_design_box_without_any_feasible_state_is_an_error_with_advice():
     limits = Polytope.from_bounds([-1.0], [1.0])
     objective = QuadraticObjective([[1.0]], [[1.0]])
     hopeless = CoDesignProblem(model, limits, limits, objective, FixedStart([0.0], Gaussian([0.1])))
-    with pytest.raises(InputError, match=r"samples: got 5 candidates of which none lies in X_fea\(p\)"):
+    with pytest.raises(InputError, match="samples: got 5 candidates of which none lies in X at a design with an LQR"):
         expert_dataset(hopeless, samples=5, rng=np.random.default_rng(0))

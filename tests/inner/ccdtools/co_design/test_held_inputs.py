@@ -8,8 +8,7 @@ from mass_and_wall import CASES, DESIGN
 
 from ccdtools import LearnedPolicy, closed_loop_returns
 from ccdtools.co_design.held_inputs import better_by_holding
-from ccdtools.co_design.imitation import first_policy
-from ccdtools.co_design.methods.learned import policy_from_scratch
+from ccdtools.co_design.imitation import first_policy, policy_from_scratch
 from ccdtools.statistics import paired_difference
 from learning.warm_start import CloningConfig
 

@@ -242,7 +242,9 @@ def test_learning_from_a_saturated_policy_starts_again_from_one_that_imitates_lq
     from ccdtools.co_design.methods import learned
 
     made = []
-    monkeypatch.setattr(learned, "first_policy", lambda *_, **__: made.append(clone) or SimpleNamespace(agent=clone))
+    monkeypatch.setattr(
+        learned, "first_policy", lambda *_, **__: made.append(clone) or SimpleNamespace(agent=clone, samples=1)
+    )
     config = CoDesignConfig(iterations=4, block=4, evaluation_runs=64, pathwise_runs=32, starts=1, design_rate=0.0)
     for agent in (clone, spoilt(clone, bias=50.0)):
         found = codesign(problem, agent=agent, design=[1.0], rng=np.random.default_rng(0), config=config)
