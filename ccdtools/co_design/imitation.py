@@ -20,17 +20,26 @@ from ccdtools.co_design.expert_loops import DesignLaw
 from ccdtools.co_design.loops import Law, loops_of, lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.secant import stochastic_linearisation
+from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from learning.networks import ActorCritic, NetworkConfig
 from learning.training import train
 from learning.warm_start import CloningConfig, fit_actor_critic, fit_further
-from mpc import MPCError
+from mpc import MPCError, NotStabilisableError
+
+
+def _any_lqr(problem: CoDesignProblem, p: Array) -> LinearFeedback:
+    """LQR of the tangent at rest, or of the secant where that has none."""
+    try:
+        return saturated_lqr(problem, p)
+    except NotStabilisableError:
+        return stochastic_linearisation(problem, p, np.random.default_rng(0)).controller
+
 
 EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
-    "LQR": saturated_lqr,
-    "LQR of the secant": lambda problem, p: stochastic_linearisation(problem, p, np.random.default_rng(0)).controller,
+    "LQR": _any_lqr,
     "nonlinear MPC": long_mpc,
     "economic MPC": lambda problem, p: long_mpc(problem, p, cost="objective"),
 }
@@ -56,8 +65,8 @@ def first_policy(
     ----------
     expert : {"auto", "lqr", "mpc", "explicit"} or function of (problem, design)
         What it imitates all over X and all designs, see `expert_dataset`, which takes the `options`. "auto" is LQR,
-        or, where LQR brings nothing to rest at the design, LQR of the secant or MPC of the model, see `planned_start`,
-        or, where no design has an expert, nothing: PPO learns from scratch.
+        or, where LQR brings nothing to rest at the design, the best of LQR (of the secant where the tangent has none)
+        and MPC of the model, see `planned_start`, or, where no design has an expert, nothing: PPO learns from scratch.
     """
     if expert == "auto":
         if not lqr_is_expert(problem, design, copy.deepcopy(rng)):
@@ -99,7 +108,7 @@ def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generato
     """
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     worth = {}
-    for name in EXPERTS if own_cost(problem) else [*EXPERTS][:-1]:
+    for name in EXPERTS if own_cost(problem) else [*EXPERTS][:2]:
         with suppress(MPCError, InputError):
             loops = loops_of(problem, EXPERTS[name](problem, design), design, x0, w)
             if loops.kept.any():

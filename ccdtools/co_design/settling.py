@@ -200,7 +200,7 @@ class Settling:
 
         if not lqr_is_expert(self.problem, design, copy.deepcopy(self.scenarios)):
             name = best_expert(self.problem, design, copy.deepcopy(self.scenarios))
-            if name and "MPC" in name:
+            if name not in (None, "LQR"):
                 return name, EXPERTS[name](self.problem, design)
         return "MPC", linear_mpc(self.problem, design)
 

@@ -225,7 +225,8 @@ def _first_agent(
         from ccdtools.co_design.output_history import warm_start_of_outputs
 
         return task, warm_start_of_outputs(task.problem, known, rng)
-    first = first_policy(problem, design, rng, all_over=task.designing, progress=progress)
+    expert = "auto" if task.moves_policy else "lqr"
+    first = first_policy(problem, design, rng, expert=expert, all_over=task.designing, progress=progress)
     return task if first.samples else replace(task, begun=FROM_SCRATCH), first.agent
 
 
