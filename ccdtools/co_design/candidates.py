@@ -195,9 +195,11 @@ def starts(
         inside[outside] = pool.contains(x[outside], outside)
     if not inside.any():
         where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
-        option = budget.option if pool.regions.stabilised.any() else "none"  # which then is the cause
-        got = f"{samples} candidates of which none lies in {where[option]}"
+        regulated = pool.regions.stabilised.any()
+        got = f"{samples} candidates of which none lies in {where[budget.option if regulated else 'none']}"
         cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
+        if not regulated:
+            cure = 'The input may do nothing at rest. `codesign` by "pathwise" or "ppo" learns without an LQR.'
         raise InputError("samples", got, "at least one", cure)
     first = everyone[: -(-samples // CANDIDATES_PER_START)]
     x0 = problem.scenarios.sample(len(first), 1, rng)[0]
