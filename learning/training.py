@@ -221,11 +221,11 @@ class _Run:
         decay_exploration(agent, self.first_std, config.final_std, done)
         rollout = self.collector.rollout(steps)
         ended, ages, now = self.collector.ended, self.collector.ages, self.collector.steps
-        longest = max([int(ages.max()), *(row[2] for row in ended[-max(EPISODES, len(ages)) :])])
+        longest = max([int(ages.max()) + 1, *(row[2] for row in ended[-max(EPISODES, len(ages)) :])])
         window = longest * -(-EPISODES // len(ages))
         recent = [row[:4] for row in ended if row[4] > now - window]
         mean_return, discounted, length, lost = np.mean(recent or [(np.nan,) * 4], axis=0).tolist()
-        judged = now >= window and bool((ages < now).all())
+        judged = now >= window and bool((ages < now).all()) and bool(recent)
         before = max((row.discounted for row in result.rows if row.judged), default=-np.inf)
         kept = copy.deepcopy(agent)
         try:

@@ -125,7 +125,7 @@ class EpisodeEnv:
 
     @property
     def _stated(self) -> tuple[Any, ...]:
-        """What tells problems apart in words: steps, model and objective."""
+        """What tells problems apart in words: steps, sizes and objective."""
         return self.problem.steps, repr(self.problem.model), repr(self.problem.objective)
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -134,7 +134,8 @@ class EpisodeEnv:
         Raises
         ------
         InputError
-            If it is of another number of runs, at another design, of another divergence, or another problem's.
+            If it is of another number of runs, at another design, of another divergence, or of a problem of other
+            steps, sizes or objective.
         """
         kept = len(state["tensors"]["_x"]), state["design"], state["divergence"], *state["problem"]
         own = self.runs, self._step.p.tolist(), self.divergence, *self._stated

@@ -62,7 +62,7 @@ class Compared:
     remark : str
         Why seeds are missing, or what the controller says of itself.
     apart : bool
-        Whether it says so: then it is none to compare with.
+        Whether it says so with every seed: then it is none to compare with.
     """
 
     names: Names
@@ -163,7 +163,7 @@ def compared(
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
         c_step_time=(float(median), float(most)),
         metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
-        remark=next(iter([*told, *own_words]), ""), apart=bool(own_words),
+        remark=next(iter([*told, *own_words]), ""), apart=len(own_words) == len(records),
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.identified import IdentifiedChange, identified_change, identified_lqr
+from ccdtools.twin.identified import IdentifiedChange, check_changeable, identified_change, identified_lqr
 from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.plant_fit import FitStatus, PlantFit, fit_plant
 from ccdtools.twin.unknown_plant import stated_plant
@@ -126,6 +126,8 @@ def fitted_generations(
     sensors = problem.measurement
     if plant is not None:
         stated_plant(problem, plant)
+    elif sensors is None:
+        check_changeable(problem)
     start = problem.scenarios
     if sensors is not None and isinstance(start, FixedStart) and not np.array_equal(real.x0, start.x0):
         cure = "State where it may start: RandomStarts(Gaussian(…), disturbance)."

@@ -24,7 +24,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import BLOCKS, RIDGES
 from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, in_problem, residuals
 from ccdtools.twin.transport import Transport, carried
-from ccdtools.twin.unknown_plant import moved_at_rest
+from ccdtools.twin.unknown_plant import disturbed, mean_disturbance, moved_at_rest
 from ccdtools_ground.door import as_instance
 
 
@@ -91,10 +91,17 @@ def identified_change(problem: CoDesignProblem, logs: Logs) -> IdentifiedChange:
     InputError
         If there is no log, or one of another plant; or the model has no step to build on.
     """
+    check_changeable(problem)
+    return IdentifiedChange(_carried(problem, logs))
+
+
+def check_changeable(problem: CoDesignProblem) -> None:
+    """Raise an `InputError` unless least squares can change the problem's model."""
     as_seen_problem(as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem"))
     if isinstance(problem.model, SimulatedModel) or not problem.model.step.is_a("SXFunction"):
-        raise InputError("problem.model", repr(problem.model), "a model by discretise(plant), not by collocation")
-    return IdentifiedChange(_carried(problem, logs))
+        expected = "a model by discretise(plant), not by collocation"
+        raise InputError("problem.model", repr(problem.model), expected, "fit_plant(plant=) takes what is unknown.")
+    disturbed(problem, lambda w: w)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +109,8 @@ class IdentifiedChange:
     """Affine change of a model, from logs.
 
     It is fitted to one-step errors at one design. At a design q it is T(q) (ΔA x + ΔB u + c), as errors are carried;
-    see `Transport`. What no log excites stays as in the model.
+    see `Transport`. Of A and B what no log excites stays as in the model; c is what the mean of the problem's
+    disturbance leaves.
 
     Attributes
     ----------
@@ -122,17 +130,24 @@ class IdentifiedChange:
         E = ca.substitute(ca.jacobian(after, w), signals, ca.DM.zeros(signals.shape))
         carry = Transport.at(model, self.errors[-1].p, scale).matrix(E)
         dA, dB, c = map(ca.DM, fitted_change(self.errors, scale))
+        rest, p0 = (ca.DM.zeros(model.nx), ca.DM.zeros(model.nu)), self.errors[-1].p
+        still, stated = (model.step(*rest, met, p0) for met in (ca.DM.zeros(model.nw), mean_disturbance(problem)))
         plant = Plant(
             x, u, w, p, after + carry @ (dA @ x + dB @ u), problem.design, model.dt, continuous=False,
             state_names=problem.state_names, input_names=problem.input_names,
         )  # fmt: skip
-        plant, scenarios = moved_at_rest(problem, plant, carry @ c)
+        plant, scenarios = moved_at_rest(problem, plant, carry @ (c - (stated - still)))
         return replace(problem, model=discretise(plant), scenarios=scenarios)
 
     def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> Iterator[CoDesignProblem]:
         """Problems by stretches of the logs, drawn with replacement."""
-        parts = [log.part(slice(i, i + 1), slice(a, b)) for log in self.errors for i in range(log.runs)
-                 for a, b in pairwise(np.linspace(0, log.steps, -(-BLOCKS // log.runs) + 1, dtype=int))]  # fmt: skip
+        parts = [
+            log.part(slice(i, i + 1), slice(a, b))
+            for log in self.errors
+            for i in range(log.runs)
+            for a, b in pairwise(np.linspace(0, log.steps, -(-BLOCKS // log.runs) + 1, dtype=int))
+            if a < b
+        ]
         for _ in range(draws):
             yield IdentifiedChange([parts[i] for i in rng.integers(0, len(parts), len(parts))]).updated(problem)
 

@@ -21,7 +21,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import in_problem, residuals
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.stuck_sensors import warn_of_stuck
-from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
+from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, mean_disturbance, stated_plant
 from ccdtools_ground.door import (
     as_array,
     as_choice,
@@ -386,7 +386,7 @@ def _of_states(
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.
     """
-    mean = _mean_disturbance(problem)
+    mean = mean_disturbance(problem)
     steps = [unknown.functions(problem, log.design)[0] for log in logs]
     kept = [(log.states[~log.diverged], log.inputs[~log.diverged]) for log in logs]
     size = problem.state_scale
@@ -400,18 +400,10 @@ def _of_states(
     return found, z, left, float((NEGLIGIBLE * problem.state_scale / last).max())
 
 
-def _mean_disturbance(problem: CoDesignProblem) -> Array:
-    """Mean (nw,), by a sample where the scenarios do not know it."""
-    known = getattr(getattr(problem.scenarios, "disturbance", None), "mean", None)
-    if isinstance(known, np.ndarray):
-        return known
-    return np.asarray(problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1)))
-
-
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
     """Innovations of a log, by the problem's filter."""
     known = kalman_filter(problem, log.design)
-    mean = _mean_disturbance(problem)
+    mean = mean_disturbance(problem)
     unstated = mean - problem.mean_disturbance
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)

@@ -91,6 +91,14 @@ class UnknownPlant:
         return replace(problem, model=_sampled(problem, plant), measurement=sensors, scenarios=scenarios)
 
 
+def mean_disturbance(problem: CoDesignProblem) -> Array:
+    """Mean (nw,), by a sample where the scenarios do not know it."""
+    known = getattr(getattr(problem.scenarios, "disturbance", None), "mean", None)
+    if isinstance(known, np.ndarray):
+        return known
+    return np.asarray(problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1)))
+
+
 def disturbed(problem: CoDesignProblem, changed: Callable[[Any], Any]) -> Any:
     """Scenarios with a changed disturbance."""
     scenarios = problem.scenarios

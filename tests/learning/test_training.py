@@ -116,6 +116,20 @@ def test_recent_returns_do_not_swing_with_the_time_limit_that_all_episodes_share
     assert np.ptp(judged) < 1  # every 40 steps 32 episodes of five steps end and four of 40: −8.9 in the mean
 
 
+def test_episodes_that_grow_longer_are_judged_by_those_that_have_ended():
+    class Growing(DoubleIntegrator):
+        """All end together, first after five steps, then after 40."""
+
+        def step(self, actions):
+            self.total = getattr(self, "total", 0) + 1
+            *_, ends = result = super().step(actions)
+            return (*result[:4], torch.full_like(ends, self.total == 5 or (self.total > 5 and self.total % 40 == 5)))
+
+    rows = short(agent(), env=Growing(horizon=10**6, runs=32), iterations=30, steps=4).rows
+    assert sum(row.judged for row in rows) > 20
+    assert not any(np.isnan(row.mean_return) for row in rows if row.judged)
+
+
 BROKEN = {
     "a reward that is no number": (2, lambda r: r * float("nan"), "rewards"),
     "rewards of another shape": (2, lambda r: r[:-1], "rewards of shape"),

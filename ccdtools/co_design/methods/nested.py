@@ -85,7 +85,7 @@ class Nested:
     by : {"pathwise", "ppo", "pathwise+ppo"}
         What trains the policy of "rl".
     agent : ActorCritic, optional
-        Its warm start; by default one that imitates saturated LQR is made.
+        Its warm start; by default one that imitates an expert, as `Learned` has it, is made.
     linearisation : {"auto", "tangent", "secant"}
         What the LQR of a plant that is not linear is of: the tangent at rest, or the secant over the states that its
         own loop visits (see `stochastic_linearisation`; slopes by differences). "auto": the secant where it is better

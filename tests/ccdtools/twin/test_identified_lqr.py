@@ -201,6 +201,28 @@ def test_a_change_is_carried_to_designs_that_no_log_has_seen():
         np.testing.assert_allclose(updated.model.matrices(design)[2], np.hstack([E, 0.4 * B]), atol=1e-5)
 
 
+def test_a_stated_mean_of_the_disturbance_is_not_counted_twice():
+    known = FixedStart([0.5, 0.5], Gaussian([0.1], [0.4]))
+    problem, rng = replace(problem_of(), scenarios=known), np.random.default_rng(0)
+    log = deploy(
+        oscillator(), wandering, DESIGN, known.disturbance.sample(40, 200, rng), x0=rng.uniform(-1, 1, (40, 2))
+    )
+    updated = problem
+    for _ in range(2):  # an updated problem states its mean, too
+        updated = updated_problem(updated, identified_change(problem if updated is problem else updated, log))
+        drift = updated.model.matrices(DESIGN)[2] @ updated.mean_disturbance
+        np.testing.assert_allclose(drift, problem.model.matrices(DESIGN)[2] @ [0.4], atol=2e-3)
+        np.testing.assert_allclose(
+            saturated_lqr(updated, DESIGN).offset, identified_lqr(problem, DESIGN, log).offset, atol=0.02
+        )
+
+
+def test_plants_are_drawn_from_a_log_of_two_steps():
+    problem = problem_of()
+    log = deploy(oscillator(1.6), wandering, DESIGN, np.ones((1, 2, 1)), x0=[[0.5, 0.0]])
+    assert len([*identified_change(problem, log).drawn(problem, 5, np.random.default_rng(0))]) == 5
+
+
 def test_plants_drawn_from_a_log_are_spread_about_the_truth():
     problem, real = problem_of(), oscillator(1.6, 0.4)
     found = identified_change(problem, logged(problem, real, wandering, noise=0.3))
