@@ -75,8 +75,8 @@ def _carried(problem: CoDesignProblem, logs: Logs, p: Array | None = None) -> li
 def identified_change(problem: CoDesignProblem, logs: Logs) -> IdentifiedChange:
     """Affine change of a model, from logs.
 
-    Fitted as by `identified_lqr`. ``updated_problem(problem, identified_change(problem, log))`` is what LQR, MPC, sets
-    and every co-design take.
+    Fitted as by `identified_lqr`. ``updated_problem(problem, identified_change(problem, log))`` is what LQR and every
+    co-design take; MPC and sets go by its matrices and know nothing of the constant.
 
     Parameters
     ----------
