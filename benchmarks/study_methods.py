@@ -8,7 +8,8 @@ Nested methods and two that learn choose the design; nonlinear MPC stands at tha
 Stable-Baselines3, which must be installed, learn at the first one, by equal steps. Returns are means of 500 runs of the
 model and of the real plant that no method saw, of 8 where a program is solved in every sample. Differences to nested
 LQR are in pairs, in % of what its control costs, with 95 % intervals. With sensors every other state is measured, with
-noise of a fiftieth of its range, and differences are to nested LQG.
+noise of a fiftieth of its range, and differences are to nested LQG; learned policies and nonlinear MPC see the estimate
+of a Kalman filter, what learns from scratch the last eight outputs and inputs.
 """
 
 from __future__ import annotations
@@ -30,11 +31,13 @@ import ccdtools as cc
 from ccdtools.arrays import Array
 from ccdtools.co_design import DesignEnv, EpisodeEnv
 from ccdtools.co_design.imitation import EXPERTS
+from ccdtools.co_design.output_filter import estimator_at
+from ccdtools.controllers import History
 from ccdtools.statistics import paired_difference
 from learning import train
 
 STUDIES = ("wall", "backlash_servo", "semi_active_damper", "swing_up", "suspension")
-RUNS, FEW, AT_ONCE = 500, 8, 16
+RUNS, FEW, AT_ONCE, HISTORY = 500, 8, 16, 8
 End = tuple[Any, Array, str]  # controller, design (np,) and status
 Run = Callable[[cc.CoDesignProblem, Array, int], End]  # of a problem, its first design and a seed
 
@@ -50,20 +53,25 @@ def designed(method: Any) -> Run:
 
 
 def planned(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
-    """Nonlinear MPC at the design of nested LQR."""
-    found = cc.codesign(problem, method="nested", rng=np.random.default_rng(seed), design=design)
-    return EXPERTS["nonlinear MPC"](problem, found.design), found.design, ""
+    """Nonlinear MPC at the design of nested LQR, or LQG, then behind a filter that is extended where it need be."""
+    inner = "lqr" if problem.measurement is None else "lqg"
+    found = cc.codesign(problem, method=cc.Nested(inner), rng=np.random.default_rng(seed), design=design)
+    planner = EXPERTS["nonlinear MPC"](problem, found.design)
+    seen = planner if problem.measurement is None else cc.Observed(planner, estimator_at(problem, found.design))
+    return seen, found.design, ""
 
 
 def cold(steps: int) -> Run:
     """PPO from scratch at the first design."""
 
     def run(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
-        env = EpisodeEnv(problem, design, runs=AT_ONCE, rng=np.random.default_rng(seed))
+        history = 0 if problem.measurement is None else HISTORY
+        env = EpisodeEnv(problem, design, runs=AT_ONCE, rng=np.random.default_rng(seed), history=history)
         generator, length = torch.Generator().manual_seed(seed), problem.steps
         trained = train(env, env.agent(seed=seed), iterations=steps // (AT_ONCE * length), steps=length,
                         generator=generator)  # fmt: skip
-        return cc.LearnedPolicy(trained.agent, design), design, ""
+        policy = cc.LearnedPolicy(trained.agent, design)
+        return History(policy, history) if history else policy, design, ""
 
     return run
 
@@ -76,13 +84,14 @@ def peer(steps: int) -> Run:
         from stable_baselines3.common.env_util import make_vec_env
         from stable_baselines3.common.vec_env import VecNormalize
 
-        env = VecNormalize(make_vec_env(lambda: DesignEnv(problem, design), AT_ONCE, seed=seed))
+        history = 0 if problem.measurement is None else HISTORY
+        env = VecNormalize(make_vec_env(lambda: DesignEnv(problem, design, history=history), AT_ONCE, seed=seed))
         model = PPO("MlpPolicy", env, n_steps=128, seed=seed, device="cpu").learn(steps)
 
         def policy(seen):
             return model.predict(env.normalize_obs(seen), deterministic=True)
 
-        return DesignEnv(problem, design).controller(policy), design, ""
+        return DesignEnv(problem, design, history=history).controller(policy), design, ""
 
     return run
 
@@ -94,9 +103,7 @@ def methods(iterations: int, steps: int, by_peer: bool, sensors: bool) -> dict[s
         "gradient through the model": designed(cc.Learned(config=config)),
         "PPO from an imitation": designed(cc.Learned(by="ppo", config=config)),
     }
-    if sensors:
-        return {"nested LQG": designed(cc.Nested("lqg"))} | learned
-    nested = {
+    nested = {"nested LQG": designed(cc.Nested("lqg")), "nonlinear MPC": planned} if sensors else {
         "nested LQR": designed(cc.Nested("lqr")),
         "nested MPC": designed(cc.Nested("mpc", runs=FEW, starts=1, evaluations=4)), "nonlinear MPC": planned,
     }  # fmt: skip

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
-from ccdtools.co_design.environment import divergence_of, paid
+from ccdtools.co_design.environment import divergence_of, output_extent, paid, remembered
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
+from ccdtools.controllers.history import History
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_array, as_count, as_instance, as_vector, shown
 
@@ -43,7 +44,8 @@ else:
 class DesignEnv(Base):
     """Problem as an environment of Gymnasium, for any agent.
 
-    Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
+    Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X, or
+    with a history the last outputs, in units of the largest |y| there, and the inputs before them as actions;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
     and terminated where the objective has a terminal cost or the states diverge. The sum of its rewards is its return
     without the cost of the design; where it diverges the last one is that of staying there.
@@ -54,7 +56,7 @@ class DesignEnv(Base):
     design : (np,) array_like, optional
         The design of every episode. By default every reset draws a feasible one from the box, and the observation
         shows it. `reset(options={"design": p})` has the last word on an episode.
-    divergence : float, optional
+    output, history, divergence
         As for `EpisodeEnv`.
 
     Raises
@@ -66,15 +68,15 @@ class DesignEnv(Base):
     metadata = {"render_modes": []}  # noqa: RUF012  (the attribute that Gymnasium reads)
 
     def __init__(
-        self, problem: CoDesignProblem, design: ArrayLike | None = None, *, divergence: float | None = None
-    ) -> None:
-        self._episodes = _Episodes("DesignEnv", problem, design, 1, divergence)
+        self, problem: CoDesignProblem, design: ArrayLike | None = None, *, output: Any = None, history: int = 0,
+        divergence: float | None = None,
+    ) -> None:  # fmt: skip
+        options: dict[str, Any] = {"output": output, "history": history, "divergence": divergence}
+        self._episodes = _Episodes("DesignEnv", problem, design, 1, **options)
         self.problem = problem
         self.observation_space, self.action_space = self._episodes.spaces()
         made: Any = type(self)
-        self.spec = EnvSpec(
-            "ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design, "divergence": divergence}
-        )
+        self.spec = EnvSpec("ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design} | options)
 
     @property
     def design(self) -> Array:
@@ -103,7 +105,7 @@ class DesignEnv(Base):
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def controller(self, policy: Callable[[Array], Any], design: ArrayLike | None = None) -> Callable[[Array], Array]:
-        """Controller by an agent that was trained here.
+        """Controller by an agent that was trained here, a `History` where it sees one.
 
         Parameters
         ----------
@@ -124,19 +126,19 @@ class DesignEnv(Base):
         if chosen is None:
             raise InputError("design", "none", "the design at which the controller acts")
 
-        def controller(states: Array) -> Array:
-            seen = self._episodes.observed(np.asarray(states, float), chosen)
+        def controller(known: Array) -> Array:
+            seen = self._episodes.observed(np.asarray(known, float), chosen)
             with torch.no_grad():
                 actions = policy(torch.from_numpy(seen)) if isinstance(policy, torch.nn.Module) else policy(seen)
             found = actions[0] if isinstance(actions, tuple) else actions
             return self._episodes.inputs(np.asarray(found, float), chosen)
 
-        return controller
+        return History(controller, self._episodes.history) if self._episodes.history else controller
 
     def _seen(self) -> tuple[Array, dict[str, Any]]:
         """Observation and information."""
-        state = self._episodes.states()[0]
-        return self._episodes.observed(state, self.design), {"design": self.design, "state": state}
+        known = self._episodes.known()[0]
+        return self._episodes.observed(known, self.design), {"design": self.design, "state": self._episodes.states()[0]}
 
 
 class DesignVectorEnv(VectorBase):
@@ -150,8 +152,8 @@ class DesignVectorEnv(VectorBase):
     problem : CoDesignProblem
     num_envs : int
     design : (np,) array_like, optional
-    divergence : float, optional
-        Both as for `DesignEnv`.
+    output, history, divergence
+        All as for `DesignEnv`.
 
     Raises
     ------
@@ -162,11 +164,13 @@ class DesignVectorEnv(VectorBase):
     metadata = MODE
 
     def __init__(
-        self, problem: CoDesignProblem, num_envs: int, design: ArrayLike | None = None, *,
-        divergence: float | None = None,
+        self, problem: CoDesignProblem, num_envs: int, design: ArrayLike | None = None, *, output: Any = None,
+        history: int = 0, divergence: float | None = None,
     ) -> None:  # fmt: skip
         self.num_envs = as_count("num_envs", num_envs)
-        self._episodes = _Episodes("DesignVectorEnv", problem, design, self.num_envs, divergence)
+        self._episodes = _Episodes(
+            "DesignVectorEnv", problem, design, self.num_envs, output=output, history=history, divergence=divergence
+        )
         self.single_observation_space, self.single_action_space = self._episodes.spaces()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -230,15 +234,16 @@ class DesignVectorEnv(VectorBase):
         states, designs = self._episodes.states(), self._episodes.designs.copy()
         all_of = np.ones(self.num_envs, bool)
         infos = {"design": designs, "_design": all_of, "state": states, "_state": all_of.copy()}
-        return self._episodes.observed(states, designs), infos
+        return self._episodes.observed(self._episodes.known(), designs), infos
 
 
 class _Episodes:
     """Episodes (n,) of a problem that step together, each at a design of its own."""
 
     def __init__(
-        self, name: str, problem: CoDesignProblem, design: ArrayLike | None, runs: int, divergence: float | None
-    ) -> None:
+        self, name: str, problem: CoDesignProblem, design: ArrayLike | None, runs: int, *, output: Any, history: int,
+        divergence: float | None,
+    ) -> None:  # fmt: skip
         if spaces is None:
             raise InputError(name, "no Gymnasium", "it installed: pip install ccdtools[gymnasium]")
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -250,10 +255,21 @@ class _Episodes:
         self._k = np.zeros(runs, int)
         self._x = self._e = torch.zeros(runs, problem.model.nx)
         self._w = torch.zeros(0)
+        self.history, self._measurement = remembered(problem, output, history)
+        self._middle, self._half = np.zeros(problem.model.nx), problem.state_scale  # of what an agent knows
+        if self._measurement is not None:
+            at = problem.design.centre if self.fixed is None else self.fixed
+            extent = output_extent(problem, self._measurement.at(problem.model.nx, problem.model.nu, at))
+            self._noise = np.zeros((runs, problem.steps + 1, len(extent)))
+            self._y = np.zeros((runs, history, len(extent)))  # the latest first
+            self._u = np.zeros((runs, history, problem.model.nu))
+            lower, upper = problem.input_bounds
+            parts = ((0 * extent, extent), ((upper + lower) / 2, (upper - lower) / 2))
+            self._middle, self._half = (np.concatenate([np.tile(one, history) for one in pair]) for pair in zip(*parts))
 
     def spaces(self) -> tuple[Any, Any]:
         """Spaces of observations and of actions."""
-        largest = np.full(self.problem.model.nx, self.problem.divergence, np.float32)
+        largest = np.full(len(self._middle), self.problem.divergence, np.float32)
         if self.fixed is None:
             largest = np.r_[largest, np.ones(self.problem.design.dim, np.float32)]
         actions = spaces.Box(-1.0, 1.0, (self.problem.model.nu,), np.float32)
@@ -272,7 +288,12 @@ class _Episodes:
             self._w[row] = w[case]
             x[row], e[row] = x0[case], 0.0
             self._k[row], self.over[row] = 0, False
+            if self._measurement is not None:
+                noise = self._measurement.drawn(1, self.problem.steps + 1, rng).noise
+                self._noise[row] = 0.0 if noise is None else noise[0, : self.problem.steps + 1]
+                self._y[row] = self._u[row] = 0.0
         self._x, self._e = x, e
+        self._measure(np.array([row for row, _, _ in begun]), np.zeros((len(begun), self.problem.model.nu)))
         alike = (self.designs == self.designs[0]).all()
         at = self.designs[0] if alike else self.designs
         stepper = Stepper.at(self.problem, torch.tensor(at, dtype=torch.float32))
@@ -287,6 +308,7 @@ class _Episodes:
             rewards, lost, final = paid(self._stepper, self._x, rewards)
             left = lost.numpy()
         self._k += 1
+        self._measure(np.arange(len(now)), inputs.double().numpy())
         late = (self._k >= self.problem.steps) & ~left
         self.over = left | late
         earned = rewards.double().numpy()
@@ -303,10 +325,29 @@ class _Episodes:
         """States (n, nx)."""
         return self._x.double().numpy()
 
-    def observed(self, states: Array, design: Array) -> Array:
-        """Observations (..., n_obs) of states (..., nx), at designs (..., np)."""
+    def known(self) -> Array:
+        """What an agent knows in the units of the plant: states (n, nx), or histories (n, m (ny + nu))."""
+        if not self.history:
+            return self.states()
+        return np.concatenate([one.reshape(len(one), -1) for one in (self._y, self._u)], axis=1)
+
+    def _measure(self, rows: Array, u: Array) -> None:
+        """Take in what is measured in rows after inputs (len(rows), nu)."""
+        if self._measurement is None:
+            return
+        model, x = self.problem.model, self.states()
+        for p in np.unique(self.designs[rows], axis=0):
+            at = (self.designs[rows] == p).all(axis=1)
+            with np.errstate(all="ignore"):  # of a run that is lost
+                y = self._measurement.at(model.nx, model.nu, p).of(x[rows[at]], u[at])
+            y = y + self._noise[rows[at], np.minimum(self._k[rows[at]], self.problem.steps)]
+            for past, latest in ((self._y, y), (self._u, u[at])):
+                past[rows[at]] = np.concatenate([latest[:, None], past[rows[at], :-1]], axis=1)
+
+    def observed(self, known: Array, design: Array) -> Array:
+        """Observations (..., n_obs) of what is `known`, at designs (..., np)."""
         limit = self.problem.divergence
-        seen = np.clip(np.nan_to_num(states / self.problem.state_scale, nan=limit), -limit, limit)
+        seen = np.clip(np.nan_to_num((known - self._middle) / self._half, nan=limit), -limit, limit)
         if self.fixed is None:
             unit = 2 * self.problem.design.to_unit(design) - 1
             seen = np.concatenate([seen, np.broadcast_to(unit, (*seen.shape[:-1], unit.shape[-1]))], axis=-1)

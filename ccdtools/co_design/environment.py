@@ -10,11 +10,13 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import RANGE_POINTS
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
-from ccdtools.estimation.measurement import as_measurement
+from ccdtools.estimation.measurement import Measurement, as_measurement
+from ccdtools.estimation.outputs import Output
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_count, as_generator, as_instance, as_positive
 from learning.networks import ActorCritic, NetworkConfig
@@ -38,7 +40,7 @@ class EpisodeEnv:
     rng : numpy.random.Generator
         Draws fresh scenarios at each reset.
     output : Measurement or what it takes, optional
-        What is measured, with its noise.
+        What is measured, with its noise; by default the measurement of the problem.
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state.
     divergence : float, optional
@@ -71,11 +73,7 @@ class EpisodeEnv:
         self.runs = as_count("runs", runs)
         self.given = problem.design.dim
         self._rng = as_generator("rng", rng)
-        self.history = as_count("history", history, least=0)
-        if (output is None) != (self.history == 0):
-            got = "an output without a history" if self.history == 0 else "a history without an output"
-            raise InputError("output, history", got, "both, or neither")
-        self._measurement = None if output is None else as_measurement(output)
+        self.history, self._measurement = remembered(problem, output, history)
         self._past: Tensor | None = None  # (runs, history, ny + nu), the latest first
         if not isinstance(design, Tensor):
             design = torch.tensor(problem.design.check_feasible(design), dtype=torch.float32)
@@ -88,9 +86,7 @@ class EpisodeEnv:
         limits = bounds if isinstance(bounds, DesignLimits) else None
         lower, upper = limits.box if limits is not None else self.problem.input_bounds
         if self.history:
-            nx = self.problem.model.nx
-            x = np.random.default_rng(seed).uniform(low[:nx], high[:nx], (RANGE_POINTS, nx))
-            extent = np.abs(self._output.of(x, np.zeros((len(x), len(lower))))).max(axis=0)
+            nx, extent = self.problem.model.nx, output_extent(self.problem, self._output)
             most, least = (np.concatenate([np.tile(sign * extent, self.history), np.tile(bound, self.history), end])
                            for sign, bound, end in ((1, upper, high[nx:]), (-1, lower, low[nx:])))  # fmt: skip
             low, high = least, np.maximum(most, least + np.finfo(np.float32).eps)
@@ -186,6 +182,25 @@ class EpisodeEnv:
         self._past = torch.cat([latest, before[:, :-1]], dim=1)
         outputs, inputs = self._past.split([y.shape[1], u.shape[1]], dim=2)
         return observe(torch.cat([outputs.flatten(1), inputs.flatten(1)], dim=1), self._step.p)
+
+
+def remembered(problem: CoDesignProblem, output: Any, history: int) -> tuple[int, Measurement | None]:
+    """How many outputs and inputs are seen in the place of the state, and what measures them."""
+    history = as_count("history", history, least=0)
+    if history == 0 and output is not None:
+        raise InputError("output, history", "an output without a history", "both, or neither")
+    stated = problem.measurement if output is None else output
+    if history and stated is None:
+        raise InputError("output, history", "a history without an output", "both, or neither")
+    return history, as_measurement(stated) if history else None
+
+
+def output_extent(problem: CoDesignProblem, output: Output) -> Array:
+    """Largest |y| (ny,) at states drawn within X, without inputs; 1 of one that is 0 there."""
+    nx, (low, high) = problem.model.nx, problem.observation_bounds
+    x = np.random.default_rng(0).uniform(low[:nx], high[:nx], (RANGE_POINTS, nx))
+    largest = np.abs(output.of(x, np.zeros((len(x), problem.model.nu)))).max(axis=0)
+    return np.where(largest > 0, largest, 1.0)
 
 
 def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:

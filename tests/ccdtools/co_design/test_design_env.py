@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import FixedStart, Gaussian, InputError, Scenario, closed_loop_returns, compare, saturated_lqr
+from ccdtools import (
+    FixedStart,
+    Gaussian,
+    InputError,
+    Measurement,
+    Scenario,
+    closed_loop_returns,
+    compare,
+    saturated_lqr,
+)
 from ccdtools.co_design import DesignEnv, DesignVectorEnv
 from ccdtools.disturbances import Cases
 from learning import GymnasiumEnvs
@@ -49,6 +58,7 @@ def test_the_checker_of_gymnasium_has_nothing_to_say(illustrative, suspension, d
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             check_env(env)
+            check_env(DesignEnv(problem, env.design if not drawn else None, output=np.eye(problem.model.nx), history=2))
         assert env.spec.make().observation_space == env.observation_space
 
 
@@ -134,6 +144,37 @@ def test_an_agent_is_a_controller_that_does_as_in_its_environment(problem, drawn
     assert total == pytest.approx(returns.values[0] + problem.cost_of_design(design), rel=1e-5)
 
 
+NOISE = 0.05 * np.random.default_rng(7).standard_normal((400, 1))  # the same in every run
+
+
+def weighed(seen):
+    """Action of four outputs and the inputs before them."""
+    return np.tanh(seen[..., :8] @ [-6.0, 2.0, 1.0, 0.5, 0.8, -0.3, 0.2, 0.1])[..., None]
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_an_agent_sees_what_is_measured_as_in_the_closed_loop(problem, drawn):
+    design, sensor = problem.design.from_unit([0.3]), Measurement([[1.0, 0.3]], noise=NOISE)
+    env = DesignEnv(problem, None if drawn else design, output=sensor, history=4)
+    observation, _ = env.reset(seed=0, options={"design": design})
+    total, ended = 0.0, False
+    while not ended:
+        assert env.observation_space.contains(observation)
+        observation, reward, *flags, _ = env.step(weighed(observation))
+        total, ended = total + reward, any(flags)
+    x0, w = problem.scenarios.sample(3, problem.steps, np.random.default_rng(0))
+    run = Scenario(problem.model, x0, w, output=sensor).run(env.controller(weighed, design), design=design)
+    np.testing.assert_allclose(run.returns(problem.objective), total - problem.cost_of_design(design), rtol=1e-4)
+
+
+def test_noise_is_of_every_episode_and_of_its_seed(problem):
+    env = DesignEnv(replace(problem, measurement=Measurement([[1.0, 0.0]], noise=[0.1])), history=1)
+    first, again, other = (env.reset(seed=seed)[0][0] for seed in (0, 0, 1))
+    assert first == again != other
+    rows = DesignVectorEnv(env.problem, 3, history=1).reset(seed=0)[0]
+    np.testing.assert_allclose(rows[:2, 0], [first, other])
+
+
 def test_every_case_of_the_scenarios_is_met(problem):
     winds = [Gaussian([0.0, 0.0], mean=[0.0, mean]) for mean in (-0.1, 0.0, 0.1)]
     env = DesignEnv(replace(problem, scenarios=FixedStart([0.0, 0.0], Cases(winds))), problem.design.centre)
@@ -163,6 +204,9 @@ def test_wrong_calls_name_their_argument(problem):
         DesignEnv(problem).controller(len)
     with pytest.raises(InputError, match="options: got"):
         DesignEnv(problem).reset(options={"speed": 1})
+    for options in ({"history": 2}, {"output": np.eye(2)}):
+        with pytest.raises(InputError, match="output, history"):
+            DesignEnv(problem, **options)
     env = DesignEnv(problem)
     with pytest.raises(InputError, match="step: got no episode"):
         env.step([0.0])
