@@ -105,7 +105,9 @@ class DesignEnv(Base):
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def controller(self, policy: Callable[[Array], Any], design: ArrayLike | None = None) -> Callable[[Array], Array]:
-        """Controller by an agent that was trained here, a `History` where it sees one.
+        """Controller by an agent that was trained here.
+
+        With a history it is a `History`, which needs outputs: `Scenario(…, output=sensor)`.
 
         Parameters
         ----------
@@ -126,8 +128,8 @@ class DesignEnv(Base):
         if chosen is None:
             raise InputError("design", "none", "the design at which the controller acts")
 
-        def controller(known: Array) -> Array:
-            seen = self._episodes.observed(np.asarray(known, float), chosen)
+        def controller(x: Array) -> Array:
+            seen = self._episodes.observed(np.asarray(x, float), chosen)
             with torch.no_grad():
                 actions = policy(torch.from_numpy(seen)) if isinstance(policy, torch.nn.Module) else policy(seen)
             found = actions[0] if isinstance(actions, tuple) else actions
@@ -326,13 +328,13 @@ class _Episodes:
         return self._x.double().numpy()
 
     def known(self) -> Array:
-        """What an agent knows in the units of the plant: states (n, nx), or histories (n, m (ny + nu))."""
+        """States (n, nx), or histories (n, m (ny + nu))."""
         if not self.history:
             return self.states()
         return np.concatenate([one.reshape(len(one), -1) for one in (self._y, self._u)], axis=1)
 
-    def _measure(self, rows: Array, u: Array) -> None:
-        """Take in what is measured in rows after inputs (len(rows), nu)."""
+    def _measure(self, rows: Any, u: Array) -> None:
+        """Take in outputs after inputs (len(rows), nu)."""
         if self._measurement is None:
             return
         model, x = self.problem.model, self.states()

@@ -185,7 +185,7 @@ class EpisodeEnv:
 
 
 def remembered(problem: CoDesignProblem, output: Any, history: int) -> tuple[int, Measurement | None]:
-    """How many outputs and inputs are seen in the place of the state, and what measures them."""
+    """Length of the history, and its measurement."""
     history = as_count("history", history, least=0)
     if history == 0 and output is not None:
         raise InputError("output, history", "an output without a history", "both, or neither")
@@ -196,7 +196,7 @@ def remembered(problem: CoDesignProblem, output: Any, history: int) -> tuple[int
 
 
 def output_extent(problem: CoDesignProblem, output: Output) -> Array:
-    """Largest |y| (ny,) at states drawn within X, without inputs; 1 of one that is 0 there."""
+    """Largest |y| (ny,) at states within X; 1 where it is 0."""
     nx, (low, high) = problem.model.nx, problem.observation_bounds
     x = np.random.default_rng(0).uniform(low[:nx], high[:nx], (RANGE_POINTS, nx))
     largest = np.abs(output.of(x, np.zeros((len(x), problem.model.nu)))).max(axis=0)
