@@ -4,6 +4,7 @@
     python benchmarks/bench_comparison.py --same          # serial, two processes, Dask, and killed six times
     python benchmarks/bench_comparison.py --cover 1000    # comparisons whose truth is known
     python benchmarks/bench_comparison.py --tables 4000   # and tables of seeds and runs of other truths
+    python benchmarks/bench_comparison.py --table FOLDER  # all four, kept in a folder
 
 Two designs, three scenarios, and the car with one parameter off by 20 % with ``--plants``. PPO is trained from
 scratch for every design and seed, 192 000 samples each.
@@ -24,6 +25,7 @@ from pathlib import Path
 import joblib
 import numpy as np
 import torch
+from asked import Row, printed
 
 from ccdtools import (
     LearnedPolicy,
@@ -48,6 +50,13 @@ STUDY = load_study("suspension")
 PROBLEM = STUDY.problem()
 RUNS = 50
 SEEDS = 10
+ROWS = (
+    Row("comparison", "six controllers, two designs, three scenarios, ten seeds: at most 20 minutes on two cores",
+        ("bench_comparison.py",)),
+    Row("the same bits", "in one process, in two, on Dask and after kill −9", ("bench_comparison.py --same",)),
+    Row("intervals", "95 ± 1.5 % of intervals hold a known truth",
+        ("bench_comparison.py --cover 1000", "bench_comparison.py --tables 4000")),
+)  # fmt: skip
 
 
 def from_scratch(design, rng, samples=192_000, runs=32):
@@ -235,11 +244,14 @@ def main() -> None:
     parser.add_argument("--same", action="store_true")
     parser.add_argument("--cover", type=int)
     parser.add_argument("--tables", type=int)
+    parser.add_argument("--table", type=Path)
     parser.add_argument("--part", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     torch.set_num_threads(1)
     if asked.part:
         compared(SEEDS, 2, asked.part)
+    elif asked.table:
+        printed(ROWS, asked.table, [])
     elif asked.same:
         same()
     elif asked.cover:
