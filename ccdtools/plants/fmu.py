@@ -194,35 +194,36 @@ class FmuStep:
         stands["p"] = p.copy()
         return model
 
-    def derivatives(self, x: Array, u: Array, w: Array, p: Array) -> Array:
-        """dx/dt (nx,)."""
-        model = self.at(p)
-        state, rate = np.array(x, dtype=float), np.empty(self.nx)
+    def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """State (nx,) a sample later."""
+        model, n, h = self.at(p), self.nx, self.dt / self.substeps
+        state, rate = np.array(x, dtype=float), np.empty(n)
+        to_state, to_rate, rates = _pointer(state), _pointer(rate), getattr(model, self._words.derivatives)
+
+        def derivatives(at: Array) -> Array:
+            """dx/dt (nx,)."""
+            state[:] = at
+            model.setContinuousStates(to_state, n)
+            rates(to_rate, n)
+            return rate.copy()
+
         try:
-            for references, values in zip(self.references, (u, w)):
+            for references, values in zip(self.references, (u, w)):  # held over the sample
                 if references:
                     self._set(model, references, values)
-            model.setContinuousStates(_pointer(state), self.nx)
-            getattr(model, self._words.derivatives)(_pointer(rate), self.nx)
+            for _ in range(self.substeps):
+                first = derivatives(x)
+                second = derivatives(x + h / 2 * first)
+                third = derivatives(x + h / 2 * second)
+                x = x + h / 6 * (first + 2 * second + 2 * third + derivatives(x + h * third))
         except Exception:
             self._loaded[1]["p"] = None  # what has stopped begins anew
             raise
-        return rate
+        return x
 
     def _set(self, model: Any, references: tuple[int, ...], values: Array) -> None:
         """Set real variables."""
         getattr(model, self._words.set_values)(references, values.tolist())
-
-    def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
-        """State (nx,) a sample later."""
-        h = self.dt / self.substeps
-        for _ in range(self.substeps):
-            first = self.derivatives(x, u, w, p)
-            second = self.derivatives(x + h / 2 * first, u, w, p)
-            third = self.derivatives(x + h / 2 * second, u, w, p)
-            last = self.derivatives(x + h * third, u, w, p)
-            x = x + h / 6 * (first + 2 * second + 2 * third + last)
-        return x
 
 
 def _described(path: Path) -> Any:
