@@ -1,18 +1,10 @@
-"""Controllers × designs × scenarios × plants × seeds: rows, pairs, verdicts, and what an interruption leaves."""
+"""Controllers × designs × scenarios × plants × seeds: rows, pairs and verdicts."""
 
-import csv
-import json
-import os
 import re
-import subprocess
-import sys
-import warnings
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
-import joblib
 import numpy as np
 import pytest
+from scalar_experiment import GAIN, LAWS, OBJECTIVE, PLANT, by_hand, drawn, found
 
 from ccdtools import (
     CustomObjective,
@@ -26,36 +18,7 @@ from ccdtools import (
     plant_from_matrices,
 )
 from ccdtools.controllers import Passive
-from ccdtools.plants import BlackBox
 from ccdtools.plants.library import Servo, dc_servo
-
-A, R = 0.9, 0.5
-PLANT = plant_from_matrices([[A]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
-OBJECTIVE = QuadraticObjective(Q=[[1.0]], R=[[R]])
-GAIN = 0.55
-LAWS = {
-    "LQR": lambda design, rng: LinearFeedback([[GAIN]]),
-    "learned": lambda design, rng: (LinearFeedback([[GAIN + 0.1 * rng.random()]]), 500),
-}
-
-
-def drawn(rng):
-    return Scenario(PLANT, 2 * rng.standard_normal((7, 1)), rng.standard_normal((7, 15, 1)))
-
-
-def found(laws=LAWS, scenarios=drawn, **options):
-    given = {"objective": OBJECTIVE, "X": ([-50.0], [50.0]), "seeds": 4} | options
-    return experiment(laws, scenarios, **given)
-
-
-def by_hand(gain, x0, w):
-    """Returns of u = −gain x, written out."""
-    x, total = x0[:, 0].copy(), np.zeros(len(x0))
-    for k in range(w.shape[1]):
-        u = -gain * x
-        x = A * x + u + w[:, k, 0]
-        total -= x**2 + R * u**2
-    return total
 
 
 def test_a_row_for_each_run_of_each_seed():
@@ -72,73 +35,6 @@ def test_the_table_has_the_interval_of_the_share_of_runs_that_are_better():
     low, high = cell.better.ci95
     assert 0.0 <= low <= cell.better.mean <= high <= 1.0
     assert f" {100 * cell.better.mean:.0f} % [{100 * low:.0f}, {100 * high:.0f}] " in repr(result)
-
-
-def test_the_figure_says_what_was_not_made_and_hides_no_curve():
-    def refused(design, rng):
-        raise InputError("gains", "none", "a stable loop")
-
-    gains, profile, _ = found(LAWS | {"same": LAWS["LQR"], "PID": refused}).plot().axes
-    (low, high), rows = gains.get_ylim(), gains.get_yticks()
-    assert high < rows.min() < rows.max() < low
-    assert [text.get_text() for text in gains.texts] == ["not made"]
-    assert gains.texts[0].get_position()[1] == rows[2]
-    shown = {line.get_label(): line.get_linestyle() for line in profile.lines}
-    assert list(shown) == ["LQR", "learned", "same", "PID: not made"]
-    assert shown["LQR"] == "-" != shown["same"]
-
-
-def apart(figure):
-    """Whether no two labels beside an axis overlap, and no axes and the legend."""
-    figure.draw_without_rendering()
-    groups = [[one.get_window_extent() for one in ax.get_yticklabels()] for ax in figure.axes]
-    groups.append([ax.get_tightbbox() for ax in figure.axes] + [one.get_window_extent() for one in figure.legends])
-    return not any(a.overlaps(b) for group in groups for i, a in enumerate(group) for b in group[:i])
-
-
-@pytest.mark.parametrize("laws", [2, 12])
-def test_long_names_do_not_overlap_in_the_figures(laws):
-    names = [f"nonlinear MPC with a Kalman filter, imitated, number {i}" for i in range(laws)]
-    start = Scenario(PLANT, np.ones((4, 1)), np.zeros((4, 5, 1)))
-    result = found(dict.fromkeys(names, LAWS["LQR"]), {"calm": start, "windy": start}, seeds=1)
-    assert apart(result.plot())
-    table = compare({name: LinearFeedback([[GAIN]]) for name in names}, start, objective=OBJECTIVE, X=([-50], [50]))
-    assert apart(table.plot().figure)
-
-
-def test_a_controller_that_stops_in_one_scenario_keeps_what_it_did_in_others():
-    def fragile(design, rng):
-        def law(x):
-            if np.abs(x).max() > 20:
-                raise ZeroDivisionError("beyond")
-            return -GAIN * x
-
-        return law
-
-    far = Scenario(PLANT, np.full((7, 1), 30.0), np.zeros((7, 20, 1)))
-    result = found({"LQR": LAWS["LQR"], "fragile": fragile}, {"near": drawn, "far": far}, seeds=2)
-    near, beyond = result["fragile", "near"], result["fragile", "far"]
-    assert near.evidence.gain.mean == pytest.approx(0.0)
-    assert near.evidence.lost == (0, 0)
-    assert beyond.evidence.lost == (14, 0)
-    assert "far: stopped with ZeroDivisionError: beyond" in beyond.remark
-
-
-def test_a_simulator_that_dies_without_input_loses_no_controller_under_which_it_lives(tmp_path):
-    def advance(x, u, w, p):
-        if x[0] < 0.3:
-            raise OSError("licence lost")
-        return 0.9 * x + 0.1 * u
-
-    start = Scenario(BlackBox(advance, nx=1, nu=1, dt=1.0), np.ones((2, 1)), np.zeros((2, 20, 0)))
-    laws = {"LQR": lambda design, rng: LinearFeedback([[-1.0]]), "none": lambda design, rng: Passive(1)}
-    options = {"seeds": 2, "folder": tmp_path, "metrics": lambda run: {"end": run.states[..., 20, 0].mean()}}
-    for _ in range(2):  # the second from the folder
-        result = found(laws, start, **options)
-        assert result["LQR"].metrics["end"] == pytest.approx(1.0)
-        assert result["none"].evidence.lost == (4, 0)
-        assert "OSError: licence lost" in result["none"].remark
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_returns_are_those_of_the_loop_by_hand_and_gains_are_in_pairs():
@@ -181,81 +77,6 @@ def test_numbers_depend_neither_on_the_order_nor_on_what_else_is_compared():
     ]
 
 
-@pytest.mark.check
-def test_two_processes_and_a_dask_cluster_find_the_same_bits():
-    distributed = pytest.importorskip("dask.distributed")
-    rows = found().rows()
-    assert found(jobs=2).rows() == rows
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster), joblib.parallel_config(backend="dask"),
-    ):  # fmt: skip
-        assert found(jobs=2).rows() == rows
-
-
-KILLED = """
-import os, sys
-sys.path.insert(0, {folder!r})
-import test_experiment as t
-def dying(design, rng):
-    if len(os.listdir(sys.argv[1])) == 3:
-        os.kill(os.getpid(), 9)
-    return t.LAWS["learned"](design, rng)
-t.found({{"LQR": t.LAWS["LQR"], "learned": dying}}, folder=sys.argv[1])
-"""
-
-
-def test_a_killed_experiment_goes_on_where_it_was(tmp_path):
-    script = KILLED.format(folder=str(Path(__file__).parent))
-    ended = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, check=False)
-    assert ended.returncode == -9, ended.stderr.decode()
-    kept = {path.name for path in tmp_path.glob("*.npz")}
-    assert len(kept) == 3
-    assert found(folder=tmp_path).rows() == found().rows()
-    assert kept < {path.name for path in tmp_path.glob("*.npz")}
-
-
-def test_threads_may_share_a_folder(tmp_path):
-    scenario = drawn(np.random.default_rng(0))
-    with ThreadPoolExecutor(4) as pool:
-        results = list(pool.map(lambda _: found(scenarios=scenario, folder=tmp_path), range(4)))
-    assert len({result["learned"].evidence.gain for result in results}) == 1
-    assert not list(tmp_path.glob("*.partial"))
-
-
-def test_what_is_finished_is_not_computed_again_and_what_changed_is(tmp_path):
-    calls = tmp_path / "calls"  # not a list, which would be part of what the function holds
-
-    def law(design, rng):
-        with calls.open("a") as file:
-            file.write(".")
-        return LinearFeedback([[GAIN]])
-
-    laws = {"LQR": law}
-    for options in ({}, {}, {"seeds": 5}, {"objective": QuadraticObjective(Q=[[1.0]], R=[[0.6]])}):
-        found(laws, folder=tmp_path / "kept", **options)
-    assert len(calls.read_text()) == 4 + 0 + 1 + 4
-
-
-@pytest.mark.parametrize("change", [
-    {"X": ([-40.0], [50.0])}, {"limit": [9.0]}, {"metrics": lambda run: {"end [m]": run.states[0, -1, 0] + 1}},
-    {"plants": {"": plant_from_matrices([[0.8]], [[1.0]], [[1.0]], dt=1.0, continuous=False)}},
-])  # fmt: skip
-def test_a_changed_condition_is_another_task(tmp_path, change):
-    base = {"limit": [8.0], "metrics": lambda run: {"end [m]": run.states[0, -1, 0]}, "X": ([-50.0], [50.0])}
-    found(folder=tmp_path, seeds=1, **base)
-    found(folder=tmp_path, seeds=1, **base | change)
-    assert len(list(tmp_path.iterdir())) == 4
-
-
-def test_a_damaged_record_is_named(tmp_path):
-    found(folder=tmp_path, seeds=1)
-    file = next(tmp_path.iterdir())
-    file.write_bytes(b"nothing")
-    with pytest.raises(InputError, match=f"folder: got .*{file.name}"):
-        found(folder=tmp_path, seeds=1)
-
-
 def test_a_controller_that_cannot_be_made_says_so_and_others_go_on():
     def some(design, rng):
         raise InputError("gains", "none", "a stable loop")
@@ -279,14 +100,6 @@ def test_a_controller_that_fails_for_one_seed_is_not_better_by_the_others():
     assert 0 < result["lucky"].seeds < 8
     assert result["lucky"].evidence.gain.mean > 0
     assert result.verdicts["lucky", ""].startswith("stopped")
-
-
-def test_a_process_that_dies_is_named(tmp_path):
-    def dies(design, rng):
-        os._exit(9)
-
-    with pytest.raises(InputError, match=r"jobs: got a process that ended at .*, seed 0, or at what follows it"):
-        found(LAWS | {"dies": dies}, seeds=1, jobs=2, folder=tmp_path)
 
 
 def test_a_baseline_that_could_not_be_found_has_no_verdict():
@@ -453,66 +266,6 @@ def test_designs_and_metrics_have_columns_of_their_own(illustrative):
     assert result.baseline == "zero"
 
 
-def test_a_page_says_what_was_compared(tmp_path):
-    class Law:
-        """A law of the user's own, without a repr."""
-
-        def __call__(self, x):
-            return -0.1 * x
-
-    def own(x):
-        return -0.3 * x
-
-    laws = {"LQR": LAWS["LQR"], "own": lambda p, rng: own, "object": lambda p, rng: Law(),
-            "late": lambda p, rng: Passive(1)}  # fmt: skip
-    start = Scenario(PLANT, [[1.0], [2.0]], np.zeros((2, 15, 1)), output=[[1.0]])
-    plants = {"nominal": PLANT, "faster": plant_from_matrices([[0.5]], [[1.0]], [[1.0]], dt=1.0, continuous=False)}
-    result = found(
-        laws, {"from rest": drawn, "from afar": start}, plants=plants, seeds=[3, 5], folder=tmp_path / "kept"
-    )
-    lines = result.header.lines
-    assert [line[:2] for line in lines] == [
-        ("plant", "nominal"), ("plant", "faster"), ("scenario", "from rest"), ("scenario", "from afar"),
-        ("objective", ""), ("X", ""), ("seeds", ""), *(("controller", name) for name in laws),
-    ]  # fmt: skip
-    words = {line[:2]: line[2] for line in lines}
-    assert words["plant", "faster"] == repr(plants["faster"])
-    assert words["scenario", "from rest"] == "7 runs of 15 steps of 1 s"
-    assert words["scenario", "from afar"].startswith("2 runs of 15 steps of 1 s, Measurement(")
-    assert words["objective", ""] == "QuadraticObjective(Q=[1.0], R=[0.5])"
-    assert words["X", ""] == "[-50.0] to [50.0]"
-    assert words["seeds", ""] == "3, 5"
-    assert "own" in words["controller", "own"]
-    assert "Law object" in words["controller", "object"]
-    assert " at 0x" not in repr(lines)
-    assert found(laws, {"from rest": drawn, "from afar": start}, plants=plants, seeds=[3, 5],
-                 folder=tmp_path / "kept").header == result.header  # fmt: skip
-    result.save(tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    assert page.index("what was compared") < page.index("data:image/png")
-    space = dc_servo()
-    other = Scenario(space, [[0.5, 0.0]], np.zeros((1, 30, space.nw)))
-    gain = {"gain": lambda p, rng: LinearFeedback([[1.0, 0.1]])}
-    given = {"objective": QuadraticObjective(np.eye(2), [[0.1]]), "X": ([-9, -99], [9, 99]), "seeds": 1}
-    told = experiment(gain, other, designs={"middle": space.design.centre}, **given).header.lines
-    assert ("design", "middle", space.design.describe(space.design.centre)) in told
-
-
-def test_rows_are_saved_as_csv_parquet_and_a_page(tmp_path):
-    pandas = pytest.importorskip("pandas")
-    result = found(seeds=2)
-    result.save(tmp_path / "rows.csv")
-    with (tmp_path / "rows.csv").open() as stream:
-        read = list(csv.DictReader(stream))
-    assert [float(row["return"]) for row in read] == [row["return"] for row in result.rows()]
-    pytest.importorskip("pyarrow")
-    result.save(tmp_path / "rows.parquet")
-    assert pandas.read_parquet(tmp_path / "rows.parquet").equals(result.to_frame())
-    result.save(tmp_path / "page.html")
-    assert "data:image/png" in (tmp_path / "page.html").read_text()
-    json.dumps(result.rows())
-
-
 @pytest.mark.parametrize(("change", "match"), [
     ({"laws": {}}, "controllers: got none"),
     ({"laws": {"LQR": LinearFeedback([[GAIN]])}}, r"controllers\['LQR'\]: got .*takes no \(design, rng\)"),
@@ -539,11 +292,6 @@ def test_rows_are_saved_as_csv_parquet_and_a_page(tmp_path):
 def test_wrong_arguments_are_named(change, match):
     with pytest.raises(InputError, match=match):
         found(**change)
-
-
-def test_a_path_of_no_known_kind_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"path: got .*rows\.txt"):
-        found(seeds=1).save(tmp_path / "rows.txt")
 
 
 def test_cells_are_found_by_as_many_names_as_tell_them_apart():
@@ -585,39 +333,6 @@ def test_a_seed_that_loses_a_run_is_the_worst_of_the_middle_half():
     assert lost.evidence.lost[0] > 0
     kept = found(seeds=4, scenarios=drawn(np.random.default_rng(5)))["LQR"]
     assert lost.middle.mean == pytest.approx(kept.middle.mean)  # one of four is trimmed, and three are alike
-
-
-def still(noise=None, C=None, reference=None, w=None):
-    """A run from rest that nothing moves before the fifth sample."""
-    later = np.zeros((15, 1))
-    later[4:] = 1.0 if w is None else w
-    output = None if C is None else Measurement(C, noise=noise)
-    return Scenario(PLANT, [[0.0]], later, reference=reference, output=output, seed=1)
-
-
-BUMPED = plant_from_matrices([[A]], [[3.0]], [[1.0]], dt=1.0, continuous=False)
-FASTER = plant_from_matrices([[0.5]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
-
-
-@pytest.mark.parametrize("change", [
-    {"plants": {"": BUMPED}}, {"plants": {"": FASTER}}, {"objective": QuadraticObjective(Q=[[5.0]], R=[[R]])},
-    {"objective": QuadraticObjective(Q=[[1.0]], R=[[9.0]])}, {"scenarios": still(C=[[1.0]], reference=[3.0])},
-    {"scenarios": still(C=[[2.0]])}, {"scenarios": still(C=[[1.0]], noise=[3.0])},
-    {"scenarios": still(C=[[1.0]], w=2.0)},
-    {"metrics": lambda run: {"end [m]": 1.0 + float(run.states[0, -1, 0] > 2)}},
-])  # fmt: skip
-def test_no_record_is_taken_for_other_conditions(tmp_path, change):
-    base = {
-        "scenarios": still(C=[[1.0]], reference=[1.0]),
-        "plants": {"": PLANT},
-        "metrics": lambda run: {"end [m]": 1.0},
-    }
-    found(folder=tmp_path, seeds=1, **base)
-    before = set(tmp_path.iterdir())
-    found(folder=tmp_path, seeds=1, **base)
-    assert set(tmp_path.iterdir()) == before
-    found(folder=tmp_path, seeds=1, **base | change)
-    assert len(set(tmp_path.iterdir()) - before) == 2
 
 
 def test_a_drive_that_is_lost_with_one_seed_leaves_the_others_their_interval():
@@ -695,34 +410,7 @@ def test_a_metric_that_some_seeds_have_not_is_not_averaged_over_the_others():
     assert np.isnan(found(laws, seeds=6, metrics=settle)["LQR"].metrics["settled [s]"])
 
 
-def test_where_a_controller_stopped_is_told():
-    def brittle(design, rng):
-        def law(x):
-            if np.abs(x).max() > 50:
-                raise RuntimeError("too far")
-            return -GAIN * x
-
-        return law
-
-    far = Scenario(PLANT, [[99.0]], np.zeros((3, 1)))
-    result = found({"LQR": LAWS["LQR"], "brittle": brittle}, {"near": drawn, "far": far}, seeds=1)
-    assert "seed 0: far: " in result["brittle", "far"].remark
-
-
 def test_names_may_be_told_apart_by_their_order():
     laws = {"LQR": LAWS["LQR"], "B": LAWS["LQR"]}
     result = found(laws, {"LQR": drawn, "B": drawn}, seeds=1)
     assert result["B", "", "LQR"].names == ("B", "", "LQR", "")
-
-
-def test_runs_and_steps_by_chance_beyond_all_numbers_are_lost_without_a_warning(tmp_path):
-    steep = BlackBox(lambda x, u, w, p: 0.5 * x + np.exp(0.1 * u), nx=1, nu=1, dt=1.0)
-    # e^500 is a number, and its square is none
-    start = Scenario(steep, np.zeros((3, 1)), np.zeros((3, 4, 0)))
-    laws = {"LQR": lambda design, rng: LinearFeedback([[0.1]]),
-            "wild": lambda design, rng: lambda x: np.full((len(x), 1), 5000.0)}  # fmt: skip
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")  # as an error it would be one of the simulator
-        result = found(laws, start, seeds=1, folder=tmp_path)
-    assert not said
-    assert result["wild"].evidence.lost == (3, 0)
