@@ -117,12 +117,21 @@ class EpisodeEnv:
         p = self._step.p.tolist()
         own = {"k": self._k, "rng": self._rng.bit_generator.state, "design": p, "divergence": self.divergence}
         own["problem"] = self._stated
-        return {"tensors": tensors, **own}
+        return {"tensors": tensors, "led_to": self._led_to(self._x0, self._w), **own}
 
     @property
     def _stated(self) -> tuple[Any, ...]:
-        """What tells problems apart in words: steps, sizes and objective."""
-        return self.problem.steps, repr(self.problem.model), repr(self.problem.objective)
+        """What tells problems apart in words: steps, sizes, objective and limits."""
+        problem = self.problem
+        limits = [np.array2string(np.asarray(one), precision=6) for one in (problem.state_scale, *problem.input_bounds)]
+        return problem.steps, repr(problem.model), repr(problem.objective), *limits
+
+    def _led_to(self, x0: Tensor, w: Tensor) -> Tensor:
+        """State in units of X, and reward, (nx + 1,) after a first sample."""
+        u = torch.tensor(self.problem.input_bounds[1], dtype=torch.float32)[None]
+        with torch.no_grad():
+            x, _, reward = self._step(x0[:1], torch.zeros_like(x0[:1]), u, w[:1, 0])
+        return torch.cat([x[0] / torch.tensor(self.problem.state_scale), reward])
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`.
@@ -131,14 +140,20 @@ class EpisodeEnv:
         ------
         InputError
             If it is of another number of runs, at another design, of another divergence, or of a problem of other
-            steps, sizes or objective.
+            steps, sizes, objective or limits, or whose plant does otherwise.
         """
         kept = len(state["tensors"]["_x"]), state["design"], state["divergence"], *state["problem"]
         own = self.runs, self._step.p.tolist(), self.divergence, *self._stated
         if kept != own:
-            words = "{} runs at the design {}, lost beyond {:g}, {} steps of {}, {}"
+            words = "{} runs at the design {}, lost beyond {:g}, {} steps of {}, {}, |x| within {}, u from {} to {}"
             got, expected = (words.format(*one) for one in (kept, own))
             raise InputError("state", got, expected)
+        here = self._led_to(state["tensors"]["_x0"], state["tensors"]["_w"])
+        if not torch.allclose(here, state["led_to"], rtol=1e-4, atol=1e-6, equal_nan=True):
+            got, expected = (", ".join(f"{v:.5g}" for v in one.tolist()) for one in (state["led_to"], here))
+            raise InputError(
+                "state", f"a plant whose first sample ends at {got} (state in units of X, reward)", expected
+            )
         for name, tensor in state["tensors"].items():
             setattr(self, name, tensor)
         self._k = state["k"]

@@ -180,7 +180,8 @@ def test_a_training_says_how_many_of_its_episodes_were_lost():
 
 
 @pytest.mark.parametrize("change", [
-    {"steps": 7}, {"objective": QuadraticObjective(np.eye(2), [[7.0]])},
+    {"steps": 7}, {"objective": QuadraticObjective(np.eye(2), [[7.0]])}, {"U": (-0.5, 0.5)},
+    {"X": ([-9.0, -9.0], [9.0, 9.0])},
 ])  # fmt: skip
 def test_a_training_does_not_go_on_in_another_problem(illustrative, change):
     problem = illustrative.problem()
@@ -189,6 +190,18 @@ def test_a_training_does_not_go_on_in_another_problem(illustrative, change):
     other = EpisodeEnv(replace(problem, **change), [1.0], runs=4, rng=np.random.default_rng(0))
     with pytest.raises(InputError, match="state: got 4 runs at the design"):
         other.restore(kept.state())
+
+
+def test_a_training_does_not_go_on_with_another_plant(illustrative):
+    rng, problem, envs = np.random.default_rng(0), illustrative.problem(), []
+    x, u, w, p = (ca.SX.sym(name, size) for name, size in zip("xuwp", (2, 1, 2, 1)))
+    for part in (0.9, 1.0):
+        dynamics = ca.vertcat(x[0] + x[1], x[1] + part * p * u) + 0.1 * w
+        plant = Plant(x, u, w, p, dynamics, problem.design, dt=problem.model.dt, continuous=False)
+        envs.append(EpisodeEnv(replace(problem, model=discretise(plant)), [1.0], runs=4, rng=rng))
+    envs[0].reset()
+    with pytest.raises(InputError, match="state: got a plant whose first sample ends at"):
+        envs[1].restore(envs[0].state())
 
 
 def test_wrong_calls_name_their_argument(illustrative):
