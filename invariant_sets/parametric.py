@@ -240,8 +240,10 @@ class ParametricSet:
 
     def _warm(self, p: Array) -> SetResult | None:
         """Result from an inflated slow neighbour; None without one, or if its rows are felt."""
-        size = max(float(np.abs(p).max()), np.finfo(float).tiny)
-        near = [(float(np.abs(p - q).max()) / size, k) for k, (q, _) in enumerate(self._slow) if len(q) == len(p)]
+        size = max(float(np.abs(p).max(initial=0.0)), np.finfo(float).tiny)
+        near = [
+            (float(np.abs(p - q).max(initial=0.0)) / size, k) for k, (q, _) in enumerate(self._slow) if len(q) == len(p)
+        ]
         distance, k = min(near, default=(np.inf, 0))
         if distance > 0.02:
             return None

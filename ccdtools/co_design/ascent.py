@@ -92,7 +92,7 @@ class Task:
     @property
     def designing(self) -> bool:
         """Whether a design other than the given may be found."""
-        return self.config.design_rate > 0
+        return self.config.design_rate > 0 and bool(self.problem.design.free.any())
 
     @property
     def moving(self) -> bool:
@@ -210,7 +210,7 @@ class Ascent:
             self.step = self._differences(self._drawn()).step(self.v)
         if self.task.smooth and before.lost == 0 and not self.limited:
             self._climb(length, bar)
-            self.gone = float((self.v.detach() - self.best.v).abs().max())
+            self.gone = float(np.abs(self.v.detach().numpy() - self.best.v.numpy()).max(initial=0.0))
         else:  # steps of Adam, and of PPO if used, on fresh scenarios
             for k in range(length):
                 self.iterate(k, length)

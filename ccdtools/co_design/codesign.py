@@ -111,9 +111,14 @@ def codesign(
     as_generator("rng", rng)
     as_flag("progress", progress)
     space = problem.design
+    if not space.free.any() and not hasattr(chosen, "following"):  # nothing that learns
+        raise InputError(
+            "method", shown(method), f"one of {', '.join(LEARNED)}, as the problem has nothing to design",
+            "LQR, MPC and other controllers take it as it is: saturated_lqr(problem, design).",
+        )  # fmt: skip
     first = space.project(space.centre) if design is None else space.check_feasible(design)
     scenarios = _own_generator(rng)
-    frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0
+    frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0 or not space.free.any()
     elsewhere = callable(getattr(chosen, "of", None))  # designs are measured
     judge = getattr(chosen, "judge", None) or problem
     settling = Settling(judge, scenarios, designing=not (frozen or elsewhere), foreseen=not elsewhere)

@@ -19,7 +19,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.casadi_arrays import SymbolicFunction
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.models import as_regulated_model, as_simulable, check_at_rest, steps_alone
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import ACCURACY, FEASIBLE
@@ -90,6 +90,9 @@ class FixedStart(Immutable):
 class CoDesignProblem(Immutable):
     """Design task, and the measure that designs and policies are compared by.
 
+    A plant without a design, or whose entries are all fixed, is a task of control alone: `codesign` by a method that
+    learns finds its policy, and controllers and environments take the design [].
+
     Parameters
     ----------
     model : LinearModel, SampledModel, BlackBox or another Simulable
@@ -136,9 +139,9 @@ class CoDesignProblem(Immutable):
     InputError
         If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
         not in X or not in U, at some design if they depend on it, U is not a box, starts lie outside X at every design
-        or break a limit of an output that no input and no design mends, or the box of designs is too narrow or has no
-        entry that is not fixed. If nothing that is chosen changes the objective, or an entry of the design that is not
-        fixed changes nothing, or nothing but how a disturbance of zero enters.
+        or break a limit of an output that no input and no design mends, or the box of designs is too narrow. If nothing
+        that is chosen changes the objective, or an entry of the design that is not fixed changes nothing, or nothing
+        but how a disturbance of zero enters.
     """
 
     model: Any  # once the problem is made a Model, or a SimulatedModel
@@ -157,7 +160,7 @@ class CoDesignProblem(Immutable):
     divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
-        model = self._designable()
+        model = self._model()
         self._set(X=_bounded_limits("X", self.X, model.nx, "one per state", model.design))
         self._set(U=_bounded_limits("U", self.U, model.nu, "one per input", model.design))
         if not widest(self.X).contains(np.zeros(model.nx)):
@@ -176,7 +179,7 @@ class CoDesignProblem(Immutable):
             )  # fmt: skip
         self._set(steps=as_count("steps", self.steps))
         self._set(objective=self.objective.over(self.steps))
-        self._set(model=self._differenced(self.model))
+        self._set(model=self._differenced(model))
         as_risk("risk", self.risk)
         if isinstance(self.risk, WorstCase):
             risk = self.risk.over(self.scenarios) if self.discrepancy is None else of_logged_runs(self.risk)
@@ -195,18 +198,12 @@ class CoDesignProblem(Immutable):
         self._check_measurement()
         check_every_entry_acts(self)
 
-    def _designable(self) -> Any:
-        """The model, which has a design to choose."""
+    def _model(self) -> Any:
+        """The model, whose designs single precision tells apart."""
         model = self.model
         if not isinstance(model, SimulatedModel):
             model = as_simulable(model, "model") if steps_alone(model) else as_regulated_model("model", model)
-        if model.design is None or model.design.dim == 0:
-            raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
-        if not model.design.free.any():
-            raise InputError(
-                "model", "a box of designs whose entries are all fixed", "at least one with lower < upper",
-                "To keep a design that could be changed, set CoDesignConfig.design_rate to 0.",
-            )  # fmt: skip
+        model = model if model.design is not None else model.within(NO_DESIGN)
         _check_widths(model.design)
         return model
 

@@ -58,7 +58,11 @@ class DiscreteModel:
     def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
         """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
         p = self._box.check_one(p)
-        T = np.asarray(self.jacobian(p), dtype=float).reshape(-1, self.nx, len(p)).transpose(1, 0, 2)
+        T = (
+            np.asarray(self.jacobian(p), dtype=float)
+            .reshape(self.nx + self.nu + self.nw, self.nx, len(p))
+            .transpose(1, 0, 2)
+        )
         A, B, E = np.split(T, [self.nx, self.nx + self.nu], axis=1)
         return A, B, E
 

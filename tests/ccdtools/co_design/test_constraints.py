@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from constrained_plants import CASES
 
-from ccdtools import CoDesignConfig, CoDesignProblem, DesignSpace, InputError, codesign
+from ccdtools import CoDesignConfig, InputError, codesign
 from ccdtools.co_design import expert_dataset
 from learning import ActorCritic, CloningConfig, NetworkConfig, PPOConfig, fit_actor_critic
 
@@ -88,11 +88,3 @@ def test_whole_numbers_stay_within_a_start_whatever_moves_the_rest():
                          method=method, config=config)  # fmt: skip
         assert (found.history.design[:, 1] == 3.0).all()
         assert len(np.unique(found.history.design[:, 0])) > 1
-
-
-def test_a_box_whose_entries_are_all_fixed_is_refused():
-    problem = CASES["a fixed entry"].problem()
-    still = DesignSpace(["a", "b", "c"], [1, 1, 2], [1, 1, 2])
-    with pytest.raises(InputError, match="model: got a box of designs whose entries are all fixed"):
-        replace(problem, model=problem.model.within(still))
-    assert isinstance(problem, CoDesignProblem)

@@ -6,7 +6,24 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import CoDesignProblem, CustomObjective, FixedStart, InputError, QuadraticObjective
+from ccdtools import (
+    CoDesignConfig,
+    CoDesignProblem,
+    CustomObjective,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Learned,
+    Plant,
+    QuadraticObjective,
+    RandomStarts,
+    closed_loop_returns,
+    codesign,
+    discretise,
+    saturated_lqr,
+)
+from ccdtools.co_design import EpisodeEnv
 from ccdtools.plants import LinearModel
 from invariant_sets import Polytope
 
@@ -68,10 +85,28 @@ def test_inputs_must_have_independent_bounds(illustrative):
         replace(problem, model=two, U=diamond, objective=QuadraticObjective(np.eye(2), np.eye(2)))
 
 
-def test_a_model_without_a_design_cannot_be_co_designed(illustrative):
-    model = LinearModel.from_state_space(illustrative.model.state_space([1.0]), E=np.eye(2))
-    with pytest.raises(InputError, match="model: got a model without design parameters, expected one of a plant"):
-        replace(illustrative.problem(), model=model)
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_plant_without_a_design_is_a_task_of_control_alone(fixed):
+    x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
+    p, space = (ca.SX.sym("m"), DesignSpace(["m"], [1.0], [1.0])) if fixed else (ca.SX(0, 1), DesignSpace([], [], []))
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], ca.sin(x[0]) + u + w), space, dt=0.05)
+    box, U = ([-3, -6], [3, 6]), (-5, 5)
+    problem = CoDesignProblem(
+        discretise(plant, X=box, U=U), X=box, U=U, steps=20, objective=QuadraticObjective(np.eye(2), [[0.1]]),
+        scenarios=RandomStarts(Gaussian([0.3, 0.3]), Gaussian([0.3])),
+    )  # fmt: skip
+    config = CoDesignConfig(iterations=4, runs=8, pathwise_runs=8, evaluation_runs=20, evaluate_every=2)
+    found = codesign(problem, method=Learned(config=config), rng=np.random.default_rng(0))
+    law = saturated_lqr(problem, space.lower)
+    env = EpisodeEnv(problem, space.lower, runs=4, rng=np.random.default_rng(0))
+    assert env.reset().shape == (4, 2 + len(space.lower))
+    learned, regulator = (
+        closed_loop_returns(problem, one, space.lower, rng=np.random.default_rng(1), runs=50).values.mean()
+        for one in (found.controller, law)
+    )
+    assert learned > 1.01 * regulator
+    with pytest.raises(InputError, match=r"method: got 'nested', expected one of .* nothing to design"):
+        codesign(problem, method="nested", rng=np.random.default_rng(0))
 
 
 def test_a_start_outside_X_and_inputs_without_zero_are_refused(illustrative):
