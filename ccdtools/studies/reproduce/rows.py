@@ -151,9 +151,8 @@ def _row(line: Line, found: Found, note: str) -> dict[str, Any]:
         for key in (f"{line.key}.ours", f"{line.key}.policy", f"{line.base}.lqr", f"{line.place}.optimum")
     )
     said = _of_sets(line, found) if line.key.startswith("set") else verdict(line, found, ours, optimum)
-    if line.key in ("penalised-2", "free-2"):
-        former = found.beside(f"{line.key}.ours", f"{line.place}-1.ours", fresh=True, lower=False)
-        assert former is not None
+    former = found.beside(f"{line.key}.ours", f"{line.former}.ours", fresh=line.fresh, lower=line.lower)
+    if former is not None:
         deployed = f"{sum(found.decisions)} of {len(found.decisions)} redesigns deployed"
         said += f"; {said_of(former, 'equal within chance')} beside generation 1; {deployed}"
     return {

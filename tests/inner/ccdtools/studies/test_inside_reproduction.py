@@ -151,3 +151,12 @@ def test_every_figure_of_the_paper_has_its_row():
     for case, figures in PAPER.items():
         shown = {line.paper or line.key for line in lines_of(case)}
         assert shown >= figures.keys()
+
+
+def test_a_row_of_generation_2_stands_beside_that_of_generation_1():
+    for case in PAPER:
+        lines = {line.key: line for line in lines_of(case)}
+        for line in lines.values():
+            assert ("generation 2" in line.says) == bool(line.former)
+            if line.former:
+                assert lines[line.former].says == line.says.replace("generation 2", "generation 1")
