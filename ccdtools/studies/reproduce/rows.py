@@ -186,8 +186,9 @@ def _out_of_reach(line: Line, optimum: Cell, word: str) -> str:
     """Why a figure beyond the optimum cannot be, as far as measured."""
     best = with_minus(number(optimum.mean))
     if line.key != "rmse":
-        bound = "no policy at a design of the grid" if optimum.at.startswith("dynamic") else "no LQR of the grid"
-        return f"cannot be here, because {bound} comes there: {best} at best"
+        if optimum.at.startswith("dynamic"):
+            return f"cannot be here, because no policy at a design of the grid comes there: {best} at best"
+        return f"{word}; no LQR of the grid comes there: {best} at best"
     if line.case == "illustrative":
         return f"cannot be, because the noise of its real plant alone leaves {best}"
     return f"{word}; linear prediction of the road leaves {best} at the paper's design"
