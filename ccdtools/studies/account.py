@@ -40,15 +40,14 @@ def account(
         clauses = [f"{name} designed {place} on the nominal model", returns]
         consequence = "the policy is as designed"
     elif redesign.accepted:
-        against = f"measured {delivery.verdict.percent} against generation {delivery.former}"
-        clauses = [f"{name} {redesign.text} and {against}"]
+        clauses = [f"{name} {redesign.text} and {_measured(delivery)}"]
         if not delivery.replaces:
             why = delivery.verdict.status.value + (f" ({delivery.breach})" if delivery.breach else "")
             clauses.append(f"{why}, so design and policy of generation {delivery.former} stay deployed")
         consequence = "none of it is due to updates"
     else:
         clauses = [f"{name} {_without_redesign(delivery, accepted)}: {redesign.text}"]
-        clauses += [f"measured {delivery.verdict.percent}"] * (accepted > 0 and delivery.replaces)
+        clauses += [_measured(delivery)] * (accepted > 0 and delivery.replaces)
         consequence = _kept(delivery, accepted)
     if redesign is not None and less:
         clauses.append(f"{delivery.agreement.value}, {expected}")
@@ -78,6 +77,13 @@ def region_line(region: Mapping[str, Any]) -> str:
     if region["radius"] is None:
         return f"redesign over the whole box: {region['text']}"
     return f"redesign limited to ±{share(region['radius'])} of the box around what is deployed: {region['text']}"
+
+
+def _measured(delivery: Delivery) -> str:
+    """Clause on a deployment beside the one before."""
+    if delivery.verdict.status is Status.NOT_COMPARED:
+        return f"not compared with generation {delivery.former}, {delivery.verdict.reason}"
+    return f"measured {delivery.verdict.percent} against generation {delivery.former}"
 
 
 def _without_redesign(delivery: Delivery, accepted: int) -> str:

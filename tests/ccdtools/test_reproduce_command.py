@@ -48,6 +48,9 @@ def test_every_row_is_filled_and_a_second_command_computes_nothing_again(tmp_pat
     after = by_row["suspension", "return after it, by default"]
     assert after["verdict"].startswith("better")
     assert float(after["mean"]) > -55  # the corner of the box; −82.1 in the paper
+    second = [row["verdict"] for row in rows if "generation 2" in row["row"]]
+    assert len(second) > 15
+    assert all("beside generation 1; " in said and "redesigns deployed" in said for said in second)
     road = by_row["suspension", "RMSE of the median, all states"]
     assert road["verdict"].endswith("(on a generated road: the recorded one is not at hand)")
     assert "QUICK" in table

@@ -44,6 +44,12 @@ class Line:
         return self.key.removesuffix("-paper").removesuffix("-updated")
 
     @property
+    def former(self) -> str:
+        """Key of generation 1 in a row of generation 2; else empty."""
+        name = self.base.removesuffix("-2")
+        return "" if name == self.base else f"{name}-1{self.key.removeprefix(self.base)}"
+
+    @property
     def place(self) -> str:
         """Key of the optimum there."""
         return self.key if self.key.startswith("set") else self.base.rpartition("-")[0] or self.base

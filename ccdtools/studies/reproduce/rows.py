@@ -151,9 +151,8 @@ def _row(line: Line, found: Found, note: str) -> dict[str, Any]:
         for key in (f"{line.key}.ours", f"{line.key}.policy", f"{line.base}.lqr", f"{line.place}.optimum")
     )
     said = _of_sets(line, found) if line.key.startswith("set") else verdict(line, found, ours, optimum)
-    if line.key in ("penalised-2", "free-2"):
-        former = found.beside(f"{line.key}.ours", f"{line.place}-1.ours", fresh=True, lower=False)
-        assert former is not None
+    former = found.beside(f"{line.key}.ours", f"{line.former}.ours", fresh=line.fresh, lower=line.lower)
+    if former is not None:
         deployed = f"{sum(found.decisions)} of {len(found.decisions)} redesigns deployed"
         said += f"; {said_of(former, 'equal within chance')} beside generation 1; {deployed}"
     return {
@@ -187,8 +186,9 @@ def _out_of_reach(line: Line, optimum: Cell, word: str) -> str:
     """Why a figure beyond the optimum cannot be, as far as measured."""
     best = with_minus(number(optimum.mean))
     if line.key != "rmse":
-        bound = "no policy at a design of the grid" if optimum.at.startswith("dynamic") else "no LQR of the grid"
-        return f"cannot be here, because {bound} comes there: {best} at best"
+        if optimum.at.startswith("dynamic"):
+            return f"cannot be here, because no policy at a design of the grid comes there: {best} at best"
+        return f"{word}; no LQR of the grid comes there: {best} at best"
     if line.case == "illustrative":
         return f"cannot be, because the noise of its real plant alone leaves {best}"
     return f"{word}; linear prediction of the road leaves {best} at the paper's design"

@@ -70,6 +70,20 @@ def test_the_objective_is_the_mean_return_of_the_loop_with_its_filter(mean):
     assert found.objective == pytest.approx(summary.mean, rel=0.03)
 
 
+def test_lqg_acts_on_a_stated_mean_of_the_disturbance():
+    narrow = DesignSpace(["k", "c"], [1.0, 1.0], [1.0001, 1.0])
+    pushed, level = (mass(narrow, scenarios=FixedStart([1.0, 0.0], Gaussian([1.0], mean=[d]))) for d in (1.5, 0.0))
+    own, other = (
+        closed_loop_returns(
+            pushed, codesign(of, method=Nested("lqg"), rng=np.random.default_rng(1)).controller, [1.0, 1.0],
+            np.random.default_rng(2), runs=200,
+        ).values for of in (pushed, level)
+    )  # fmt: skip
+    gain = own - other
+    assert gain.mean() > 0.1 * abs(other.mean())
+    assert gain.mean() > 5 * gain.std() / len(gain) ** 0.5
+
+
 @pytest.mark.check
 def test_a_long_episode_costs_what_the_trace_formula_says():
     def cost(steps):

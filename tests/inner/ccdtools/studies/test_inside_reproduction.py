@@ -102,14 +102,22 @@ LINE = Line("illustrative", "nominal-after", "", "after")  # the paper: −69.78
         (Cell(-80.0, -81.0, -79.0), Cell(-24.0, -24.0, -24.0), "worse: −15 %"),
         (
             Cell(-80.0, -81.0, -79.0),
-            Cell(-75.0, -75.5, -74.5),
-            "cannot be here, because no LQR of the grid comes there: −75.00 at best",
+            Cell(-75.0, -75.5, -74.5, at="dynamic program at p = 3"),
+            "cannot be here, because no policy at a design of the grid comes there: −75.00 at best",
         ),
         (Cell(), Cell(), "not measured"),
     ],
 )
 def test_the_verdict_is_that_of_the_decision_rule(ours, optimum, word):
     assert verdict(LINE, NOTHING, ours, optimum).startswith(word)
+
+
+def test_a_figure_beyond_the_best_lqr_alone_is_not_called_impossible():
+    """A force of nothing is no LQR's, and can be."""
+    line = next(line for line in lines_of("suspension") if line.says == "σ_ss of u [N], start 2, generation 2")
+    said = verdict(line, NOTHING, Cell(54.1, 38.1, 72.1), Cell(54.3, 38.3, 72.4, at="LQR at k_s = 10000 N/m"))
+    assert said.startswith("worse: −984 % [")
+    assert said.endswith("; no LQR of the grid comes there: 54.30 at best")
 
 
 def test_less_is_better_where_it_is():
@@ -151,3 +159,12 @@ def test_every_figure_of_the_paper_has_its_row():
     for case, figures in PAPER.items():
         shown = {line.paper or line.key for line in lines_of(case)}
         assert shown >= figures.keys()
+
+
+def test_a_row_of_generation_2_stands_beside_that_of_generation_1():
+    for case in PAPER:
+        lines = {line.key: line for line in lines_of(case)}
+        for line in lines.values():
+            assert ("generation 2" in line.says) == bool(line.former)
+            if line.former:
+                assert lines[line.former].says == line.says.replace("generation 2", "generation 1")

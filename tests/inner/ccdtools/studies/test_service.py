@@ -321,7 +321,7 @@ def test_the_first_generation_says_that_less_was_measured_than_predicted(agreeme
 def test_updates_alone_are_named_and_so_is_what_was_rolled_back():
     text = said(Status.BETTER, updates=(True, False))
     assert "changed the policy only, by updates while deployed" in text
-    assert "measured −2 % [−3, −1]" in text
+    assert "measured −2 % [−3, −1] against generation 1" in text
     assert text.endswith("1 of 2 updates accepted, design of generation 1, policy updated") or text.endswith("accepted")
     assert "its updates were rolled back" in said(Status.WORSE, updates=(True, False))
     carried = said(Status.WORSE, carried=True)
@@ -343,7 +343,25 @@ def test_the_headline_says_whose_updates_were_rolled_back():
     assert not _brought(generation)
 
 
-def test_deployments_of_two_plants_are_not_compared():
+def test_what_is_not_compared_says_why_and_names_no_number():
+    why = "the plant has changed"
+    alone = said(Status.NOT_COMPARED, updates=(True, False), reason=why)
+    assert f"; not compared with generation 1, {why}; 1 of 2 updates accepted" in alone
+    moved = said(Status.NOT_COMPARED, accepted=True, reason="no samples in common")
+    assert "predicted +1 % [+0.5, +1.5] and not compared with generation 1, no samples in common" in moved
+    assert "measured" not in alone + moved
+
+
+def test_deployments_of_two_plants_are_not_compared_and_updates_of_the_second_are_judged_by_the_next():
     one, other = first(log(1.0)), second(log(2.0))
     assert status(other, one) is Status.WORSE
     assert status(other, one, other_plant=True) is Status.NOT_COMPARED
+    changed = second(log(1.0, disturbance_seed=3), changes=(30 * STEPS,), designed=A)
+    delivery = judged(changed, one, A, redesigned=False, other_plant=True)
+    service, served = after_deployment(changed, A, one, replaces=delivery.replaces, carried=delivery.carried)
+    assert service is AFTER
+    again = Deployed(3, AFTER, AFTER, log(1.05, disturbance_seed=3))
+    after = judged(again, served, service, redesigned=False)
+    assert after.verdict.status is Status.WORSE
+    kept, _ = after_deployment(again, service, served, replaces=after.replaces, carried=after.carried)
+    assert kept is A
