@@ -136,16 +136,23 @@ class LoopPlanner:
         """Optimum that quadratic programs lead to, or None."""
         states, inputs, on = before.states, before.inputs, carried(before)
         last: Step | None = None
-        for _ in range(PROGRAMS_TO_GO if on is not None else 0):
-            local = self._local(x, given, states, inputs)
-            step = next_step(local, PRICE * local.force, multipliers=on, last=last)
+        local = self._local(x, given, states, inputs)
+        price = PRICE ** (1 + (before.status is Status.SOFTENED)) * local.force
+        dearest = PRICE**2 * local.force
+        for number in range(self.most if on is not None else 0):
+            step = next_step(local, price, relaxed=last is not None and last.relaxed, multipliers=on, last=last)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
                 return None
             if step.error <= KKT:
                 found = self._optimum(local, step)
-                return found if found.violation <= FEASIBLE else None
+                if found.violation <= KKT or price == dearest:
+                    return found
+                price = dearest
+            elif number >= PROGRAMS_TO_GO and not (last and step.soon(last, PROGRAMS_TO_GO)):
+                return None
             states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
             last, on = step, step.multipliers
+            local = self._local(x, given, states, inputs)
         return None
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
@@ -157,15 +164,17 @@ class LoopPlanner:
     def _optimum(self, local: Local, step: Step) -> Plan:
         """Plan of a step that moves it no more."""
         nx, bounds = self.loop.phase.states, self.loop.phase.u_bounds
-        over = np.where(local.rows.slots < 0, -local.room / local.rows.units, 0.0)
+        over = np.where(local.hard, -local.room / local.rows.units, 0.0).max(initial=0.0)
+        status = Status.SOLVED if over <= FEASIBLE else Status.SOFTENED
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
-        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), Status.SOLVED, residuals,
-                    float(over.max(initial=0.0)), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
+        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
+                    float(over), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
-        step = next_step(local, PRICE * local.force)
+        relaxed = plan.status is Status.SOFTENED
+        step = next_step(local, PRICE ** (1 + relaxed) * local.force, relaxed=relaxed)
         if not step.solved:
             return plan
         on = step.multipliers
@@ -193,7 +202,7 @@ class LoopPlanner:
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
-        return self._with_multipliers(plan, x, given) if plan.status is Status.SOLVED else plan
+        return self._with_multipliers(plan, x, given) if plan.status in RANKS[:2] else plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to, or None.

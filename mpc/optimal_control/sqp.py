@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.plan import Plan
@@ -121,7 +121,7 @@ class Local:
     sizes: tuple[Array, Array]  # of states and inputs
     extent: Array  # (nu,): of limits of inputs, infinite where there are none
     cost: Callable[[], float]
-    prices: Array | None = None  # linear and quadratic (s, 2), of violations; None where all limits are hard
+    prices: Array  # linear and quadratic (s, 2), of violations; infinite where limits are hard
     regulated: Array | None = None  # weights of the gains, where not those of the cost
     # slopes of which only rounding is left where states and inputs are at their references, and their cost
     lost: tuple[Array, Array] | None = None
@@ -137,9 +137,14 @@ class Local:
         """Largest slope of the cost, in sizes."""
         return max(largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
 
-    def priced(self, relaxed: bool, dear: float) -> Array | None:
-        """Prices of violations, `dear` where all are relaxed."""
-        return np.full((self.rows.violations, 2), dear) if relaxed and self.prices is None else self.prices
+    @property
+    def hard(self) -> Flags:
+        """Limits (m,) that are hard."""
+        return np.asarray(np.isinf(np.append(self.prices[:, 0], np.inf))[self.rows.slots])
+
+    def priced(self, relaxed: bool, dear: float) -> Array:
+        """Prices of violations, those of hard limits at `dear` where they are relaxed."""
+        return np.where(np.isinf(self.prices) & relaxed, dear, self.prices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,13 +317,14 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     change = moved(*local.about[:2], program.along[2], none[0][1:], none[0][0], z)[1]
     room, prices, force = local.room / rows.units, local.priced(last.relaxed, dear), pushes * rows.units
     strongest, unbalanced = max(largest(force), TINY), 0.0
-    if prices is not None:
-        soft = np.flatnonzero(rows.slots >= 0)
+    given = np.isfinite(prices[:, 0])
+    if given.any():
+        soft = np.flatnonzero(np.append(given, False)[rows.slots])
         slots, over, of_slots = rows.slots[soft], np.zeros(len(prices)), np.zeros(len(prices))
         np.maximum.at(over, slots, -local.room[soft] / rows.amounts[soft])
         np.add.at(of_slots, slots, rows.amounts[soft] * pushes[soft])
         room[soft] += rows.amounts[soft] * over[slots] / rows.units[soft]
-        price = prices[:, 0] + 2 * prices[:, 1] * over
+        price = np.where(given, prices[:, 0] + 2 * np.where(given, prices[:, 1], 0.0) * over, 0.0)
         strongest = max(strongest, largest(price[over > 0]))
         apart = (of_slots - price) / strongest
         unbalanced = largest(np.where(over > 0, np.minimum(np.abs(apart), over), np.maximum(apart, 0.0)))
@@ -338,8 +344,7 @@ def _held(local: Local, dear: float, pushes: Array) -> Array:
     """
     rows = local.rows
     room = local.room / rows.units
-    firm = (rows.slots < 0) if local.prices is not None else np.ones(len(room), dtype=bool)
-    acting = (pushes > 0) & (room <= FEASIBLE) & (firm | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
+    acting = (pushes > 0) & (room <= FEASIBLE) & (local.hard | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
     return np.where(acting, dear / rows.units**2, 0.0)
 
 
@@ -395,33 +400,34 @@ def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Ar
 def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
     """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
     local = program.local
-    if local.prices is None and not relaxed:
-        z, solved, *rows = _within(program, None)
-        if solved or not local.rows.violations:
+    hard = bool(np.isinf(local.prices).any())
+    if not (relaxed and hard):
+        z, solved, *rows = _within(program, local.prices)
+        if solved or not hard:
             return z, False, solved, *rows
     z, solved, *rows = _within(program, local.priced(True, dear))
-    return z, local.prices is None, solved, *rows
+    return z, True, solved, *rows
 
 
-def _within(program: _Program, prices: Array | None) -> tuple[Array, bool, Any, Array]:
-    """Solution as of `_solve`, violations at a linear and quadratic price or not allowed."""
+def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
+    """Solution as of `_solve`, violations at a linear and quadratic price, not allowed where that is infinite."""
     local, rows, n = program.local, program.local.rows, len(program.by_state)
-    q, size = _times(program.roots, program.gradient[None])[0], np.zeros(0)
-    if prices is not None:  # a violation of this size has the quadratic cost ½
-        size = 1 / np.sqrt(2 * prices[:, 1])
-        q = np.concatenate([q, prices[:, 0] * size])
+    given = np.isfinite(prices[:, 0])
+    size = 1 / np.sqrt(2 * prices[given, 1])  # a violation of this size has the quadratic cost ½
+    q = np.concatenate([_times(program.roots, program.gradient[None])[0], prices[given, 0] * size])
+    violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots]
     bounds = local.room - rows.along(*program.start)
     fresh = np.flatnonzero((local.room <= PRIMAL * rows.units) | (program.held > 0))
     taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
     while True:
-        more, least = np.zeros((len(fresh), len(q))), np.zeros((0, len(q)))
+        more = np.zeros((len(fresh), len(q)))
         more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
         taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
-        if prices is not None:
-            soft = np.flatnonzero(rows.slots[taken] >= 0)
-            slots = rows.slots[taken[soft]]
-            matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
-            least = -np.eye(len(q))[n + np.unique(slots)]
+        soft = np.flatnonzero(violations[taken] >= 0)
+        slots = violations[taken[soft]]
+        matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
+        least = np.zeros((len(np.unique(slots)), len(q)))
+        least[np.arange(len(least)), n + np.unique(slots)] = -1.0
         sides = np.concatenate([bounds[taken], np.zeros(len(least))])
         units = np.concatenate([rows.units[taken], np.ones(len(least))])
         y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
