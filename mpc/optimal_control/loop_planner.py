@@ -130,28 +130,30 @@ class LoopPlanner:
         clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
-            return clock.stamped(found or self._planned(x, given, before, clock))
+            if found is None or found.status not in (Status.SOLVED, before.status):  # others may keep the limits
+                found = self._planned(x, given, before, clock)
+            return clock.stamped(found)
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
         """Optimum that quadratic programs lead to, or None."""
         states, inputs, on = before.states, before.inputs, carried(before)
         last: Step | None = None
         local = self._local(x, given, states, inputs)
-        price = PRICE ** (1 + (before.status is Status.SOFTENED)) * local.force
-        dearest = PRICE**2 * local.force
-        for number in range(self.most if on is not None else 0):
-            step = next_step(local, price, relaxed=last is not None and last.relaxed, multipliers=on, last=last)
+        dear, times, number = PRICE * local.force, PRICE if before.status is Status.SOFTENED else 1.0, 0
+        for _ in range(self.most if on is not None else 0):
+            relaxed = last is not None and last.relaxed
+            step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=on, last=last)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
                 return None
             if step.error <= KKT:
                 found = self._optimum(local, step)
-                if found.violation <= KKT or price == dearest:
+                if found.violation <= KKT or times == PRICE:
                     return found
-                price = dearest
+                times, number = PRICE, 0  # the price may be too low
             elif number >= PROGRAMS_TO_GO and not (last and step.soon(last, PROGRAMS_TO_GO)):
                 return None
             states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
-            last, on = step, step.multipliers
+            last, on, number = step, step.multipliers, number + 1
             local = self._local(x, given, states, inputs)
         return None
 
@@ -174,7 +176,7 @@ class LoopPlanner:
         """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
         relaxed = plan.status is Status.SOFTENED
-        step = next_step(local, PRICE ** (1 + relaxed) * local.force, relaxed=relaxed)
+        step = next_step(local, PRICE * local.force, relaxed=relaxed, times=PRICE)
         if not step.solved:
             return plan
         on = step.multipliers

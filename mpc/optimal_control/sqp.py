@@ -13,7 +13,7 @@ from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, PRIMAL, ROUNDED_SUM
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
 
 Along = tuple[Array, Array, Array, Array, Array]
 
@@ -173,14 +173,14 @@ class Step:
 
     @property
     def error(self) -> float:
-        """Larger of gaps and stationarity."""
-        return max(self.defects, self.stationarity)
+        """Larger of gaps and stationarity, no number where one is none."""
+        return float(np.maximum(self.defects, self.stationarity))
 
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
         own = self.program
-        return own is not None and _program(own.local, own.dear, self.multipliers) is not None
+        return own is not None and _program(own.local, own.dear, self.multipliers, relaxed=self.relaxed) is not None
 
     def soon(self, before: Step, programs: int) -> bool:
         """Whether falling moves will be gone after so many programs.
@@ -202,7 +202,8 @@ class _Program:
     dear: float
     along: Along  # (A, B, gains, gaps, first): arguments of `moved` but for v
     hessian: Array  # (N + 1, nx + nu, nx + nu): of the Lagrangian
-    held: Array  # (m,): prices of moves across rows, half of what they add to the Hessian
+    held: Array  # (m,): prices of moves across rows from their aims, half of what they add to the Hessian
+    aims: Array
     blocks: Array
     roots: Array  # blocks of T for which y, z = Ty, has the Hessian 1
     start: tuple[Array, Array]  # moves of z = 0
@@ -242,17 +243,18 @@ class _Program:
         local = self.local
         found = np.zeros(len(local.room))
         found[taken] = pushes
-        found += 2 * self.held * local.rows.along(moves, change)
+        found += 2 * self.held * (local.rows.along(moves, change) - self.aims)
         slopes = _bent(local, self.hessian, moves, change)
         by_state, by_input = local.rows.pushed(np.maximum(found, 0.0), *slopes)
         return Multipliers(pulled(*self.along[:3], by_state[None], by_input[None])[1][0, 1:], np.maximum(found, 0.0))
 
 
-def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: Multipliers | None = None,
-              last: Step | None = None) -> Step:  # fmt: skip
+def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float = 1.0,
+              multipliers: Multipliers | None = None, last: Step | None = None) -> Step:  # fmt: skip
     """Move of a plan, none at an optimum.
 
-    `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
+    `dear`, so many `times`, is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear
+    and quadratic.
     With `multipliers` it has the Lagrangian's Hessian, where that is then convex along the model. They are those of the
     step before, `last`, where there is one.
 
@@ -267,16 +269,16 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: 
         return failed
     hessian = None
     if last is not None and multipliers is not None:
-        confirmed = _confirmed(local, dear, multipliers, last)
+        confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
         if last.newton and last.program is not None and confirmed.error <= (KKT * last.error) ** 0.5:
             hessian = last.program.hessian  # falling as before, the error will be gone with the same one
-    newton = None if multipliers is None else _program(local, dear, multipliers, hessian)
+    newton = None if multipliers is None else _program(local, dear, multipliers, hessian, relaxed)
     program = newton or _program(local, dear, None)
     if program is None:
         return failed
-    z, relaxed, solved, *pushes = _solve(program, dear, relaxed)
+    z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
     moves, change = program.moves(z)
     curvature = program.curvature(z)
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
@@ -336,7 +338,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     )  # fmt: skip
 
 
-def _held(local: Local, dear: float, pushes: Array) -> Array:
+def _held(local: Local, dear: float, pushes: Array, relaxed: bool) -> Array:
     """Prices (m,) of moves across limits that push.
 
     No move along them pays it, so what the program comes to is the same, and the Hessian is positive definite where it
@@ -344,17 +346,17 @@ def _held(local: Local, dear: float, pushes: Array) -> Array:
     """
     rows = local.rows
     room = local.room / rows.units
-    acting = (pushes > 0) & (room <= FEASIBLE) & (local.hard | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
-    return np.where(acting, dear / rows.units**2, 0.0)
+    acting = (pushes > 0) & (local.hard & (not relaxed) | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
+    return np.where(acting, np.maximum(dear, VIOLATION_PRICE * pushes * rows.units) / rows.units**2, 0.0)
 
 
-def _program(local: Local, dear: float, multipliers: Multipliers | None,
-             hessian: Array | None = None) -> _Program | None:  # fmt: skip
+def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian: Array | None = None,
+             relaxed: bool = False) -> _Program | None:  # fmt: skip
     """Program about v = 0, None where it is not convex."""
     A, B, gaps, first = local.about
     held, rows = np.zeros(len(local.room)), local.rows
     if multipliers is not None:
-        held = _held(local, dear, multipliers.pushes)
+        held = _held(local, dear, multipliers.pushes, relaxed)
     near = np.flatnonzero(held)
     sides = rows.sides[near]
     try:
@@ -371,13 +373,15 @@ def _program(local: Local, dear: float, multipliers: Multipliers | None,
         return None
     along = A, B, gains, gaps, first
     drift, lead = (part[0] for part in moved(*along, np.zeros((1, *local.inputs.shape))))
-    slopes = [_bent(local, whole, drift, lead), *([] if local.lost is None else [local.lost])]
+    aims = np.where(held > 0, np.maximum(local.room, 0.0), 0.0)  # where a limit that pushes is met
+    bent = rows.pushed(-2 * held * aims, *_bent(local, whole, drift, lead))
+    slopes = [bent, *([] if local.lost is None else [local.lost])]
     # what states cost and what inputs cost, apart
     by_state = np.concatenate([np.stack([of_states, 0 * of_states]) for of_states, _ in slopes])
     by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    return _Program(local, dear, along, hessian, held, blocks, roots, (drift, lead), own, other, left)
+    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left)
 
 
 def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
