@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools_ground.door import as_number
-from mpc.budgets import ASIDE, PROGRAMS_TO_GO
+from mpc.budgets import ASIDE
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -20,7 +20,7 @@ from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -139,7 +139,7 @@ class LoopPlanner:
         states, inputs, on = before.states, before.inputs, carried(before)
         last: Step | None = None
         local = self._local(x, given, states, inputs)
-        dear, times, number = PRICE * local.force, PRICE if before.status is Status.SOFTENED else 1.0, 0
+        dear, times, nearing = PRICE * local.force, PRICE if before.status is Status.SOFTENED else 1.0, Nearing()
         for _ in range(self.most if on is not None else 0):
             relaxed = last is not None and last.relaxed
             step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=on, last=last)
@@ -149,11 +149,11 @@ class LoopPlanner:
                 found = self._optimum(local, step)
                 if found.violation <= KKT or times == PRICE:
                     return found
-                times, number = PRICE, 0  # the price may be too low
-            elif number >= PROGRAMS_TO_GO and not (last and step.soon(last, PROGRAMS_TO_GO)):
+                times, nearing = PRICE, Nearing()  # the price may be too low
+            elif not nearing.by(step.error):
                 return None
             states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
-            last, on, number = step, step.multipliers, number + 1
+            last, on = step, step.multipliers
             local = self._local(x, given, states, inputs)
         return None
 

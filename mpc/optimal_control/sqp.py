@@ -182,14 +182,6 @@ class Step:
         own = self.program
         return own is not None and _program(own.local, own.dear, self.multipliers, relaxed=self.relaxed) is not None
 
-    def soon(self, before: Step, programs: int) -> bool:
-        """Whether falling moves will be gone after so many programs.
-
-        Those of Newton's method fall ever faster as they go on (Deuflhard, Newton Methods, 2004).
-        """
-        rate = self.size / max(before.size, TINY)
-        return rate < 1.0 and (self.newton or bool(np.log(KKT / self.size) / np.log(rate) <= programs))
-
 
 @dataclass(frozen=True, eq=False)
 class _Program:
