@@ -42,7 +42,7 @@ ROWS = (
         "SOLVED where infeasible", tuple(f"nmpc_statements.py --first 1000 --starts {starts}" for starts in (3, 6))),
     Row("far from rest", "loops: cost at most 1.005 of the better, median and 99 % no slower, 5 and 20 iterations",
         ("far_from_rest.py", "far_from_rest.py --first", "far_from_rest.py --limit 0.03",
-         "nmpc_statements.py --loops")),
+         "nmpc_statements.py --loops", "nmpc_statements.py --kicks --first 94000 --count 36")),
     Row("real time", "pole on a cart, N = 30: 0.64 ms", ("bench_nonlinear_mpc.py",)),
     Row("starts", "five starts within 0.1 % of the best of 50, in 95 of 100 random problems", ("plan_starts.py",)),
     Row("discs", "no SOLVED that crosses by 1e-3 of a radius, 18 of 20 within 1 %", ("trajectory_verdicts.py 40 100",)),

@@ -130,9 +130,7 @@ class LoopPlanner:
         clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
-            if found is None or found.status not in (Status.SOLVED, before.status):  # others may keep the limits
-                found = self._planned(x, given, before, clock)
-            return clock.stamped(found)
+            return clock.stamped(found or self._planned(x, given, before, clock))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
         """Optimum that quadratic programs lead to, or None."""
@@ -148,7 +146,8 @@ class LoopPlanner:
             if step.error <= KKT:
                 found = self._optimum(local, step)
                 if found.violation <= KKT or times == PRICE:
-                    return found
+                    # from elsewhere limits may be kept
+                    return found if found.status in (Status.SOLVED, before.status) else None
                 times, nearing = PRICE, Nearing()  # the price may be too low
             elif not nearing.by(step.error):
                 return None
