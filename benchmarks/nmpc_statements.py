@@ -2,6 +2,7 @@
 
     python benchmarks/nmpc_statements.py [--first SEED] [--count N] [--starts N] [--decades N]   # first plans
     python benchmarks/nmpc_statements.py --loops                                  # closed loops
+    python benchmarks/nmpc_statements.py --kicks [--first SEED] [--count N] [--decades N]  # random ones, kicked
 
 A statement has one of six plants in random units (three decades to either side, or `--decades`), a horizon of 8 to 30
 samples, and by chance: obstacles, a box or a ball as terminal set, end conditions, an economic cost, parameters that
@@ -423,6 +424,41 @@ def loops() -> None:
               f"{needed} | {others[1]} |", flush=True)  # fmt: skip
 
 
+def kicks(first: int, count: int, decades: int) -> None:
+    """Print loops of 8 samples, kicked before every other one by chance, beside Ipopt from the same shifted plan."""
+    told: Counter[str] = Counter()
+    own, theirs = [], []
+    for seed in range(first, first + count):
+        one, rng = random_statement(seed, decades), np.random.default_rng(seed)
+        (law, signals), reference = law_of(one, 3), Reference(one)
+        nx, x, before = len(one.x), one.x, None
+        for _ in range(8):
+            began = time.process_time()
+            u = law(x * one.size_x, **signals) / one.size_u
+            plan, took = law.last_plans[0], time.process_time() - began
+            states, inputs = plan.states / one.size_x, plan.inputs / one.size_u
+            if before is not None:
+                own.append(1e3 * took)
+                reference.low[:nx] = reference.high[:nx] = x
+                began = time.process_time()
+                least, _ = reference.from_(*(np.vstack([part[1:], part[-1:]]) for part in before))
+                theirs.append(1e3 * (time.process_time() - began))
+                cost, over = reference.worth(states, inputs)
+                solved, room = plan.status is Status.SOLVED, 1e-6 * max(1.0, abs(least))
+                told[f"{plan.status.name} by {plan.solver}"] += 1
+                told["SOLVED that passes a limit"] += solved and over > 3e-6
+                told["SOLVED and dearer"] += bool(solved and np.isfinite(least) and cost > least + room)
+                told["not SOLVED where Ipopt is"] += bool(not solved and np.isfinite(least))
+            before = states, inputs
+            x = np.asarray(reference.step(x, u, one.w[0])).ravel()
+            x = x + (rng.random() < 0.5) * 0.15 * rng.normal(size=nx) * np.asarray(PLANTS[one.plant][0])
+    for mark, number in told.items():
+        print(f"| {mark} | {number} |")
+    for name, each in (("here", own), ("Ipopt", theirs)):
+        print(f"| {name}, median, 99 %, mean | {np.median(each):.1f}, {np.percentile(each, 99):.0f}, "
+              f"{np.mean(each):.1f} ms |")  # fmt: skip
+
+
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser()
@@ -431,7 +467,10 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=3)
     parser.add_argument("--decades", type=int, default=3)
     parser.add_argument("--loops", action="store_true")
+    parser.add_argument("--kicks", action="store_true")
     asked = parser.parse_args()
+    if asked.kicks:
+        return kicks(asked.first, asked.count, asked.decades)
     if asked.loops:
         return loops()
     return first_plans(asked.first, asked.count, asked.starts, asked.decades)

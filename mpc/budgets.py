@@ -30,7 +30,7 @@ SHAKEN = 0.3  # A second start is moved by this part of the sizes of unknowns at
 ASIDE = 1e-3  # A start is moved by this part of the sizes of unknowns at most so that it stays on no saddle [-].
 
 # ---- nonlinear MPC ----
-PROGRAMS_TO_GO = 8  # Quadratic programs that may still be expected before an interior-point solver is asked
+PROGRAMS_TO_GO = 8  # Quadratic programs in which the error must be halved, before an interior-point solver is asked
 
 # ---- optimal control: meshes ----
 HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.

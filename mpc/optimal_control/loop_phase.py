@@ -120,12 +120,12 @@ class LoopPhase(Immutable):
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)
-        of_inputs = self._of(part, "u")
+        of_inputs = self.of(part, "u")
         free[part.path.start : part.path.start + len(of_inputs)] = ~of_inputs  # of the first state
         row_lower, row_upper = np.where(free, -INF, program.row_lower), np.where(free, INF, program.row_upper)
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
-    def _of(self, part: PhasePart, name: str) -> Flags:
+    def of(self, part: PhasePart, name: str) -> Flags:
         """Whether each path row depends on "u" or "x"."""
         path, found = part.functions.path, np.zeros(len(part.functions.path_names), dtype=bool)
         if path is not None:
@@ -140,7 +140,7 @@ class LoopPhase(Immutable):
         found = np.zeros(len(program.row_lower), dtype=bool)
         for rows in program.rows:
             if rows.name in ("path", "boundary"):
-                own = self._of(program.parts[0], "x") if rows.name == "path" else np.ones(len(rows.entries), dtype=bool)
+                own = self.of(program.parts[0], "x") if rows.name == "path" else np.ones(len(rows.entries), dtype=bool)
                 found[rows.first : rows.last] = np.tile(own, (rows.last - rows.first) // len(own))
         return found & (np.isfinite(program.row_lower) | np.isfinite(program.row_upper))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools_ground.door import as_number
-from mpc.budgets import ASIDE, PROGRAMS_TO_GO
+from mpc.budgets import ASIDE
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -20,7 +20,7 @@ from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -136,16 +136,24 @@ class LoopPlanner:
         """Optimum that quadratic programs lead to, or None."""
         states, inputs, on = before.states, before.inputs, carried(before)
         last: Step | None = None
-        for _ in range(PROGRAMS_TO_GO if on is not None else 0):
-            local = self._local(x, given, states, inputs)
-            step = next_step(local, PRICE * local.force, multipliers=on, last=last)
+        local = self._local(x, given, states, inputs)
+        dear, times, nearing = PRICE * local.force, PRICE if before.status is Status.SOFTENED else 1.0, Nearing()
+        for _ in range(self.most if on is not None else 0):
+            relaxed = last is not None and last.relaxed
+            step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=on, last=last)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
                 return None
             if step.error <= KKT:
                 found = self._optimum(local, step)
-                return found if found.violation <= FEASIBLE else None
+                if found.violation <= KKT or times == PRICE:
+                    # from elsewhere limits may be kept
+                    return found if found.status in (Status.SOLVED, before.status) else None
+                times, nearing = PRICE, Nearing()  # the price may be too low
+            elif not nearing.by(step.error):
+                return None
             states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
             last, on = step, step.multipliers
+            local = self._local(x, given, states, inputs)
         return None
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
@@ -157,15 +165,17 @@ class LoopPlanner:
     def _optimum(self, local: Local, step: Step) -> Plan:
         """Plan of a step that moves it no more."""
         nx, bounds = self.loop.phase.states, self.loop.phase.u_bounds
-        over = np.where(local.rows.slots < 0, -local.room / local.rows.units, 0.0)
+        over = np.where(local.hard, -local.room / local.rows.units, 0.0).max(initial=0.0)
+        status = Status.SOLVED if over <= FEASIBLE else Status.SOFTENED
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
-        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), Status.SOLVED, residuals,
-                    float(over.max(initial=0.0)), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
+        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
+                    float(over), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
-        step = next_step(local, PRICE * local.force)
+        relaxed = plan.status is Status.SOFTENED
+        step = next_step(local, PRICE * local.force, relaxed=relaxed, times=PRICE)
         if not step.solved:
             return plan
         on = step.multipliers
@@ -193,7 +203,7 @@ class LoopPlanner:
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
-        return self._with_multipliers(plan, x, given) if plan.status is Status.SOLVED else plan
+        return self._with_multipliers(plan, x, given) if plan.status in RANKS[:2] else plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to, or None.

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import Buffered
 from mpc.optimal_control.loop_phase import LoopPhase
@@ -58,9 +58,18 @@ class PhaseStages:
             none = [np.zeros((len(sides.of), size)) for size in (self.nx, self.nu, self.nu)]
             kinds.append((steps, *none, np.ones(len(sides.of)), None))
         found = Rows.of_kinds(kinds)
-        soft = np.flatnonzero(np.isfinite(self._prices[:, 0]))
-        found.slots[soft] = np.arange(len(soft))
+        found.slots[self._give] = np.arange(np.count_nonzero(self._give))
         found.later[self._free] = self._free
+        return found
+
+    @cached_property
+    def _give(self) -> Flags:
+        """Rows (m,) that may be relaxed: those of states after the first."""
+        N, own = self.loop.horizon, self.loop.of(self.part, "x")
+        inputs, ends = N * len(self._bounds.of), len(self._end.of)
+        found = np.repeat([False, True], [inputs, (N + 1) * len(self._path.of) + ends])
+        found[inputs : len(found) - ends] = np.tile(own[self._path.of], N + 1)
+        found[self._free] = False
         return found
 
     @cached_property
@@ -120,14 +129,14 @@ class PhaseStages:
             turned = np.maximum(np.abs(values), NEGLIGIBLE * size)
             return np.asarray((vectors * turned[:, None, :]) @ vectors.transpose(0, 2, 1) / sizes[:, None] / sizes)
 
-        over, soft = np.maximum(-room, 0.0), rows.slots >= 0
-        prices = self._prices[soft] * np.stack([rows.units, rows.units**2], axis=1)[soft]
+        over, soft, given = np.maximum(-room, 0.0), np.isfinite(self._prices[:, 0]), self._give
+        prices = self._prices[given] * np.stack([rows.units, rows.units**2], axis=1)[given]
         total = float(cost.sum() + last.sum() + (self._prices[soft] * np.stack([over, over**2], axis=1)[soft]).sum())
         # a violation that costs linearly is found by proximal steps from the present one
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
-        prices += np.stack([-2 * near * (over / rows.units)[soft], near], axis=1)
+        prices += np.stack([-2 * near * (over / rows.units)[given], near], axis=1)
         return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
-                     self.extent, lambda: total, prices=prices if soft.any() else None)  # fmt: skip
+                     self.extent, lambda: total, prices)  # fmt: skip
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],
               sizes: Array) -> tuple[Rows, Array]:  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.plan import Plan, Status
 
@@ -41,6 +42,20 @@ class Clock:
         """Plan with its time, LATE where that was up."""
         status = Status.LATE if self.late else plan.status
         return replace(plan, status=status, solve_time=time.perf_counter() - self.began)
+
+
+@dataclass
+class Nearing:
+    """Whether programs come nearer to an optimum: the error is halved within `PROGRAMS_TO_GO`."""
+
+    half: float = np.inf
+    left: int = PROGRAMS_TO_GO
+
+    def by(self, error: float) -> bool:
+        """Whether one more is worth it after a program that leaves this error."""
+        nearer = error <= self.half
+        self.half, self.left = (error / 2, PROGRAMS_TO_GO) if nearer else (self.half, self.left - 1)
+        return self.left > 0
 
 
 def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from mpc.budgets import ASIDE, PROGRAMS_TO_GO
+from mpc.budgets import ASIDE
 from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
 from mpc.optimal_control.sqp import TINY, Multipliers, Step, carried, next_step
@@ -213,16 +213,15 @@ class QuadraticPlanner:
     def _contracted(self, sample: _Sample, at: _Path) -> _Path:
         """Best path by quadratic programs with full steps, with the program there.
 
-        They end at the optimum, or where so many more are to be expected that another solver will be sooner there.
+        They end at the optimum, or where they come no nearer.
         """
         best = replace(at, last=None)
-        before: Step | None = None
+        nearing = Nearing()
         for one in islice(self._programs(sample, best), self.most):
             if best.last is None or one.error < best.error:
                 best = one
-            if one.error <= KKT or one.last is None or not (before is None or one.last.soon(before, PROGRAMS_TO_GO)):
+            if one.error <= KKT or not nearing.by(one.error):
                 break
-            before = one.last
         return best
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:

@@ -93,12 +93,12 @@ class QuadraticStages:
             return found
 
         error, effort = deviations(states, inputs, given)
-        referred, soft, extent = "x_ref" in given or "u_ref" in given, problem.soft, problem.input_extent
+        referred, extent = "x_ref" in given or "u_ref" in given, problem.input_extent
         return Local(
             states, inputs, about, *slopes(error, effort), lambda: 2 * self._weights, hessian, self.rows,
             self._room(states, inputs, given), self.sizes, np.where(extent > 0, extent, np.inf),
             lambda: cost_of(problem, inputs, states, given),
-            prices=None if soft is None else np.tile(np.asarray(soft, dtype=float), (self.rows.violations, 1)),
+            np.tile((np.inf, np.inf) if problem.soft is None else problem.soft, (self.rows.violations, 1)),
             regulated=self._regulated, lost=slopes(states - error, inputs - effort) if referred else None,
             lost_cost=rounding_of_cost(problem, given) if referred else 0.0,
         )  # fmt: skip

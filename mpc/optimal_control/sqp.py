@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, PRIMAL, ROUNDED_SUM
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
 
 Along = tuple[Array, Array, Array, Array, Array]
 
@@ -121,7 +121,7 @@ class Local:
     sizes: tuple[Array, Array]  # of states and inputs
     extent: Array  # (nu,): of limits of inputs, infinite where there are none
     cost: Callable[[], float]
-    prices: Array | None = None  # linear and quadratic (s, 2), of violations; None where all limits are hard
+    prices: Array  # linear and quadratic (s, 2), of violations; infinite where limits are hard
     regulated: Array | None = None  # weights of the gains, where not those of the cost
     # slopes of which only rounding is left where states and inputs are at their references, and their cost
     lost: tuple[Array, Array] | None = None
@@ -137,9 +137,14 @@ class Local:
         """Largest slope of the cost, in sizes."""
         return max(largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
 
-    def priced(self, relaxed: bool, dear: float) -> Array | None:
-        """Prices of violations, `dear` where all are relaxed."""
-        return np.full((self.rows.violations, 2), dear) if relaxed and self.prices is None else self.prices
+    @property
+    def hard(self) -> Flags:
+        """Limits (m,) that are hard."""
+        return np.asarray(np.isinf(np.append(self.prices[:, 0], np.inf))[self.rows.slots])
+
+    def priced(self, relaxed: bool, dear: float) -> Array:
+        """Prices of violations, those of hard limits at `dear` where they are relaxed."""
+        return np.where(np.isinf(self.prices) & relaxed, dear, self.prices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,22 +173,14 @@ class Step:
 
     @property
     def error(self) -> float:
-        """Larger of gaps and stationarity."""
-        return max(self.defects, self.stationarity)
+        """Larger of gaps and stationarity, no number where one is none."""
+        return float(np.maximum(self.defects, self.stationarity))
 
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
         own = self.program
-        return own is not None and _program(own.local, own.dear, self.multipliers) is not None
-
-    def soon(self, before: Step, programs: int) -> bool:
-        """Whether falling moves will be gone after so many programs.
-
-        Those of Newton's method fall ever faster as they go on (Deuflhard, Newton Methods, 2004).
-        """
-        rate = self.size / max(before.size, TINY)
-        return rate < 1.0 and (self.newton or bool(np.log(KKT / self.size) / np.log(rate) <= programs))
+        return own is not None and _program(own.local, own.dear, self.multipliers, relaxed=self.relaxed) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +194,8 @@ class _Program:
     dear: float
     along: Along  # (A, B, gains, gaps, first): arguments of `moved` but for v
     hessian: Array  # (N + 1, nx + nu, nx + nu): of the Lagrangian
-    held: Array  # (m,): prices of moves across rows, half of what they add to the Hessian
+    held: Array  # (m,): prices of moves across rows from their aims, half of what they add to the Hessian
+    aims: Array
     blocks: Array
     roots: Array  # blocks of T for which y, z = Ty, has the Hessian 1
     start: tuple[Array, Array]  # moves of z = 0
@@ -237,17 +235,18 @@ class _Program:
         local = self.local
         found = np.zeros(len(local.room))
         found[taken] = pushes
-        found += 2 * self.held * local.rows.along(moves, change)
+        found += 2 * self.held * (local.rows.along(moves, change) - self.aims)
         slopes = _bent(local, self.hessian, moves, change)
         by_state, by_input = local.rows.pushed(np.maximum(found, 0.0), *slopes)
         return Multipliers(pulled(*self.along[:3], by_state[None], by_input[None])[1][0, 1:], np.maximum(found, 0.0))
 
 
-def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: Multipliers | None = None,
-              last: Step | None = None) -> Step:  # fmt: skip
+def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float = 1.0,
+              multipliers: Multipliers | None = None, last: Step | None = None) -> Step:  # fmt: skip
     """Move of a plan, none at an optimum.
 
-    `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
+    `dear`, so many `times`, is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear
+    and quadratic.
     With `multipliers` it has the Lagrangian's Hessian, where that is then convex along the model. They are those of the
     step before, `last`, where there is one.
 
@@ -262,16 +261,16 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: 
         return failed
     hessian = None
     if last is not None and multipliers is not None:
-        confirmed = _confirmed(local, dear, multipliers, last)
+        confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
         if last.newton and last.program is not None and confirmed.error <= (KKT * last.error) ** 0.5:
             hessian = last.program.hessian  # falling as before, the error will be gone with the same one
-    newton = None if multipliers is None else _program(local, dear, multipliers, hessian)
+    newton = None if multipliers is None else _program(local, dear, multipliers, hessian, relaxed)
     program = newton or _program(local, dear, None)
     if program is None:
         return failed
-    z, relaxed, solved, *pushes = _solve(program, dear, relaxed)
+    z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
     moves, change = program.moves(z)
     curvature = program.curvature(z)
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
@@ -312,13 +311,14 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     change = moved(*local.about[:2], program.along[2], none[0][1:], none[0][0], z)[1]
     room, prices, force = local.room / rows.units, local.priced(last.relaxed, dear), pushes * rows.units
     strongest, unbalanced = max(largest(force), TINY), 0.0
-    if prices is not None:
-        soft = np.flatnonzero(rows.slots >= 0)
+    given = np.isfinite(prices[:, 0])
+    if given.any():
+        soft = np.flatnonzero(np.append(given, False)[rows.slots])
         slots, over, of_slots = rows.slots[soft], np.zeros(len(prices)), np.zeros(len(prices))
         np.maximum.at(over, slots, -local.room[soft] / rows.amounts[soft])
         np.add.at(of_slots, slots, rows.amounts[soft] * pushes[soft])
         room[soft] += rows.amounts[soft] * over[slots] / rows.units[soft]
-        price = prices[:, 0] + 2 * prices[:, 1] * over
+        price = np.where(given, prices[:, 0] + 2 * np.where(given, prices[:, 1], 0.0) * over, 0.0)
         strongest = max(strongest, largest(price[over > 0]))
         apart = (of_slots - price) / strongest
         unbalanced = largest(np.where(over > 0, np.minimum(np.abs(apart), over), np.maximum(apart, 0.0)))
@@ -330,7 +330,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     )  # fmt: skip
 
 
-def _held(local: Local, dear: float, pushes: Array) -> Array:
+def _held(local: Local, dear: float, pushes: Array, relaxed: bool) -> Array:
     """Prices (m,) of moves across limits that push.
 
     No move along them pays it, so what the program comes to is the same, and the Hessian is positive definite where it
@@ -338,18 +338,17 @@ def _held(local: Local, dear: float, pushes: Array) -> Array:
     """
     rows = local.rows
     room = local.room / rows.units
-    firm = (rows.slots < 0) if local.prices is not None else np.ones(len(room), dtype=bool)
-    acting = (pushes > 0) & (room <= FEASIBLE) & (firm | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
-    return np.where(acting, dear / rows.units**2, 0.0)
+    acting = (pushes > 0) & (local.hard & (not relaxed) | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
+    return np.where(acting, np.maximum(dear, VIOLATION_PRICE * pushes * rows.units) / rows.units**2, 0.0)
 
 
-def _program(local: Local, dear: float, multipliers: Multipliers | None,
-             hessian: Array | None = None) -> _Program | None:  # fmt: skip
+def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian: Array | None = None,
+             relaxed: bool = False) -> _Program | None:  # fmt: skip
     """Program about v = 0, None where it is not convex."""
     A, B, gaps, first = local.about
     held, rows = np.zeros(len(local.room)), local.rows
     if multipliers is not None:
-        held = _held(local, dear, multipliers.pushes)
+        held = _held(local, dear, multipliers.pushes, relaxed)
     near = np.flatnonzero(held)
     sides = rows.sides[near]
     try:
@@ -366,13 +365,15 @@ def _program(local: Local, dear: float, multipliers: Multipliers | None,
         return None
     along = A, B, gains, gaps, first
     drift, lead = (part[0] for part in moved(*along, np.zeros((1, *local.inputs.shape))))
-    slopes = [_bent(local, whole, drift, lead), *([] if local.lost is None else [local.lost])]
+    aims = np.where(held > 0, np.maximum(local.room, 0.0), 0.0)  # where a limit that pushes is met
+    bent = rows.pushed(-2 * held * aims, *_bent(local, whole, drift, lead))
+    slopes = [bent, *([] if local.lost is None else [local.lost])]
     # what states cost and what inputs cost, apart
     by_state = np.concatenate([np.stack([of_states, 0 * of_states]) for of_states, _ in slopes])
     by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    return _Program(local, dear, along, hessian, held, blocks, roots, (drift, lead), own, other, left)
+    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left)
 
 
 def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
@@ -395,33 +396,34 @@ def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Ar
 def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
     """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
     local = program.local
-    if local.prices is None and not relaxed:
-        z, solved, *rows = _within(program, None)
-        if solved or not local.rows.violations:
+    hard = bool(np.isinf(local.prices).any())
+    if not (relaxed and hard):
+        z, solved, *rows = _within(program, local.prices)
+        if solved or not hard:
             return z, False, solved, *rows
     z, solved, *rows = _within(program, local.priced(True, dear))
-    return z, local.prices is None, solved, *rows
+    return z, True, solved, *rows
 
 
-def _within(program: _Program, prices: Array | None) -> tuple[Array, bool, Any, Array]:
-    """Solution as of `_solve`, violations at a linear and quadratic price or not allowed."""
+def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
+    """Solution as of `_solve`, violations at a linear and quadratic price, not allowed where that is infinite."""
     local, rows, n = program.local, program.local.rows, len(program.by_state)
-    q, size = _times(program.roots, program.gradient[None])[0], np.zeros(0)
-    if prices is not None:  # a violation of this size has the quadratic cost ½
-        size = 1 / np.sqrt(2 * prices[:, 1])
-        q = np.concatenate([q, prices[:, 0] * size])
+    given = np.isfinite(prices[:, 0])
+    size = 1 / np.sqrt(2 * prices[given, 1])  # a violation of this size has the quadratic cost ½
+    q = np.concatenate([_times(program.roots, program.gradient[None])[0], prices[given, 0] * size])
+    violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots]
     bounds = local.room - rows.along(*program.start)
     fresh = np.flatnonzero((local.room <= PRIMAL * rows.units) | (program.held > 0))
     taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
     while True:
-        more, least = np.zeros((len(fresh), len(q))), np.zeros((0, len(q)))
+        more = np.zeros((len(fresh), len(q)))
         more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
         taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
-        if prices is not None:
-            soft = np.flatnonzero(rows.slots[taken] >= 0)
-            slots = rows.slots[taken[soft]]
-            matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
-            least = -np.eye(len(q))[n + np.unique(slots)]
+        soft = np.flatnonzero(violations[taken] >= 0)
+        slots = violations[taken[soft]]
+        matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
+        least = np.zeros((len(np.unique(slots)), len(q)))
+        least[np.arange(len(least)), n + np.unique(slots)] = -1.0
         sides = np.concatenate([bounds[taken], np.zeros(len(least))])
         units = np.concatenate([rows.units[taken], np.ones(len(least))])
         y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)

@@ -354,3 +354,23 @@ def test_plans_followed_by_programs_are_the_optima_of_the_solver(scale, prices):
         assert plan.inputs == pytest.approx(other.inputs, abs=1e-3)
         x = plan.states[1] + 2e-3 * np.array([scale, scale, 1.0])
     assert by.count("SQP") >= 9
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-4])
+def test_a_state_thrown_beyond_a_hard_limit_comes_back_as_fast_as_it_can_by_programs(unit):
+    phase = Phase(
+        lambda x, u: x + 0.1 * u, 1, 1, discrete=True, duration=12, u_bounds=(-unit, unit),
+        stage_cost=lambda x, u: (x / unit - 2) ** 2 + 0.1 * (u / unit) ** 2, path=lambda x: x - unit,
+    )  # fmt: skip
+    law = NonlinearMPC(phase)
+    law(np.array([0.5 * unit]))
+    x, found = 1.35 * unit, []
+    for _ in range(5):
+        u = law(np.array([x]))[0]
+        plan = law.last_plans[0]
+        found.append((plan.status.name, plan.solver))
+        expected = max(x - 0.1 * unit, unit)
+        x += 0.1 * u
+        assert x == pytest.approx(expected, rel=1e-6)
+    assert [status for status, _ in found] == ["SOFTENED"] * 3 + ["SOLVED"] * 2
+    assert [solver for _, solver in found[1:]] == ["SQP"] * 4
