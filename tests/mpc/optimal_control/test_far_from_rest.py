@@ -101,6 +101,38 @@ def test_after_a_kick_it_is_the_optimum_again():
     assert controller.last_plans[0].cost <= law(starts=1).solve(HANGING).cost * (1 + 1e-6)
 
 
+def damped(x, u):
+    """Machine on a heavy base [mm, mm/s] 10 ms later, the damper between them set by u from −1 to 1."""
+
+    def rate(x):
+        force = 9.0 * (1.1 + u[0]) * (x[1] - x[3]) + 400 * (x[0] - x[2])
+        return ca.vertcat(x[1], -900 * x[0] - force, x[3], 3 * force - 2000 * x[2])
+
+    k1 = rate(x)
+    k2 = rate(x + 0.005 * k1)
+    k3 = rate(x + 0.005 * k2)
+    return x + 0.01 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.01 * k3))
+
+
+def test_inputs_that_go_from_bound_to_bound_are_followed_by_quadratic_programs():
+    controller = NonlinearMPC(
+        damped, 4, 1, Q=np.diag([1.0, 1e-4, 0.3, 1e-5]), R=[[1e-6]], horizon=40, U=([-1.0], [1.0])
+    )  # fmt: skip
+    model = ca.Function("model", columns := (ca.SX.sym("x", 4), ca.SX.sym("u", 1)), [damped(*columns)])
+    stated = {"Q": controller.Q, "R": np.array([[1e-6]]), "P": controller.linear.P, "U": (np.array([-1.0]), np.ones(1))}
+    x, rng, solvers = np.array([10.0, 0.0, -5.0, 100.0]), np.random.default_rng(3), []
+    for _ in range(9):
+        u = controller(x)
+        plan = controller.last_plans[0]
+        solvers.append(plan.solver)
+        assert plan.status is Status.SOLVED
+        if len(solvers) % 4 == 1:
+            there = optimum(model, x, horizon=40, guess=(plan.states, plan.inputs), **stated)[0]
+            assert plan.cost == pytest.approx(there, rel=1e-6)
+        x = np.asarray(model(x, u)).ravel() + 0.5 * rng.normal(size=4) * [1.0, 60.0, 0.5, 120.0]
+    assert solvers[1:].count("SQP") >= 7
+
+
 def test_the_same_starts_every_time():
     plans = [law(starts=5).solve(HANGING) for _ in range(2)]
     assert (plans[0].inputs == plans[1].inputs).all()
