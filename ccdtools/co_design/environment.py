@@ -121,13 +121,13 @@ class EpisodeEnv:
 
     @property
     def _stated(self) -> tuple[Any, ...]:
-        """What tells problems apart in words: steps, sizes, objective and limits."""
+        """What tells problems apart in words."""
         problem = self.problem
         limits = [np.array2string(np.asarray(one), precision=6) for one in (problem.state_scale, *problem.input_bounds)]
         return problem.steps, repr(problem.model), repr(problem.objective), *limits
 
     def _led_to(self, x0: Tensor, w: Tensor) -> Tensor:
-        """State in units of X, and reward, (nx + 1,) after a first sample."""
+        """Scaled state and reward (nx + 1,) after a sample."""
         u = torch.tensor(self.problem.input_bounds[1], dtype=torch.float32)[None]
         with torch.no_grad():
             x, _, reward = self._step(x0[:1], torch.zeros_like(x0[:1]), u, w[:1, 0])

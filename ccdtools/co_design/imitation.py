@@ -95,9 +95,10 @@ def policy_from_scratch(
     problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, updates: int = 200, runs: int = 16,
     steps: int = 64, tries: int = 2,
 ) -> ActorCritic:  # fmt: skip
-    """Best of agents that PPO trains with its defaults at a design (np,), by `updates` of `steps` of each of `runs`.
+    """Best agent that PPO trains with its defaults at a design (np,).
 
-    At a wall one training of twelve did not find what the others did.
+    Of `tries` trainings by `updates` of `steps` of each of `runs`; at a wall one of twelve did not find what the others
+    did.
     """
     at("policy that PPO learns from scratch")
     agents = []

@@ -46,7 +46,7 @@ class Clock:
 
 @dataclass
 class Nearing:
-    """Whether programs come nearer to an optimum: the error is halved within `PROGRAMS_TO_GO`."""
+    """Whether the error is halved within `PROGRAMS_TO_GO`."""
 
     half: float = np.inf
     left: int = PROGRAMS_TO_GO

@@ -143,7 +143,7 @@ class Local:
         return np.asarray(np.isinf(np.append(self.prices[:, 0], np.inf))[self.rows.slots])
 
     def priced(self, relaxed: bool, dear: float) -> Array:
-        """Prices of violations, those of hard limits at `dear` where they are relaxed."""
+        """Prices of violations, `dear` of relaxed hard limits."""
         return np.where(np.isinf(self.prices) & relaxed, dear, self.prices)
 
 
@@ -406,7 +406,7 @@ def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
 
 
 def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
-    """Solution as of `_solve`, violations at a linear and quadratic price, not allowed where that is infinite."""
+    """Solution as of `_solve`, with violations at a price, if finite."""
     local, rows, n = program.local, program.local.rows, len(program.by_state)
     given = np.isfinite(prices[:, 0])
     size = 1 / np.sqrt(2 * prices[given, 1])  # a violation of this size has the quadratic cost ½
