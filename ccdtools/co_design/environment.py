@@ -42,7 +42,8 @@ class EpisodeEnv:
     output : Measurement or what it takes, optional
         What is measured, with its noise; by default the measurement of the problem.
     history : int
-        An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state.
+        An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state,
+        where the problem states no measurement.
     divergence : float, optional
         Half-widths of X beyond which an episode has diverged; by default 1.5, or those of the problem if they are
         fewer. Of runs that go far, an agent that knows nothing yet would learn little else than how far they went.
@@ -205,6 +206,9 @@ def remembered(problem: CoDesignProblem, output: Any, history: int) -> tuple[int
     if history == 0 and output is not None:
         raise InputError("output, history", "an output without a history", "both, or neither")
     stated = problem.measurement if output is None else output
+    if history == 0 and stated is not None:
+        cure = "Of replace(problem, measurement=None) an agent sees the state."
+        raise InputError("history", 0, "at least 1, of a problem with a measurement", cure)
     if history and stated is None:
         raise InputError("output, history", "a history without an output", "both, or neither")
     return history, as_measurement(stated) if history else None

@@ -14,7 +14,7 @@ from ccdtools.co_design.idle_entries import acting_together, check_every_entry_a
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
-from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.disturbances.disturbance import NO_DISTURBANCE, Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
@@ -53,10 +53,10 @@ class Scenarios(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FixedStart(Immutable):
-    """Starts from one state `x0` (nx,), with fresh disturbances."""
+    """Starts from one state `x0` (nx,), with fresh disturbances; none of a plant without w."""
 
     x0: ArrayField
-    disturbance: Disturbance
+    disturbance: Disturbance = NO_DISTURBANCE
 
     def __post_init__(self) -> None:
         self._set(x0=as_vector("x0", self.x0))

@@ -11,7 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.design_limits import widest
 from ccdtools.disturbances.combinations import Combination, Stacked, Sum, as_chances
-from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
+from ccdtools.disturbances.disturbance import NO_DISTURBANCE, Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_array, as_floats, has_method, shown
 from invariant_sets import Polytope
@@ -30,6 +30,7 @@ class RandomStarts(Immutable):
         a distribution such as `Uniform(lower, upper)`, `Gaussian(std, mean)` or a `Mixture` of them; or one of given
         states.
     disturbance : Disturbance
+        By default none, of a plant without w.
     weights : (n,) array_like, optional
         How likely each of the given states is, up to a common factor; all alike by default.
 
@@ -45,7 +46,7 @@ class RandomStarts(Immutable):
     """
 
     x0: Any
-    disturbance: Disturbance
+    disturbance: Disturbance = NO_DISTURBANCE
     weights: ArrayField = None
 
     def __post_init__(self) -> None:

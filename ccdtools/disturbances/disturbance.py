@@ -45,6 +45,9 @@ class Gaussian(Immutable):
         return np.asarray(self.mean + self.std * rng.standard_normal((runs, steps, len(self.std))))
 
 
+NO_DISTURBANCE = Gaussian(())
+
+
 @dataclass(frozen=True, eq=False)
 class Uniform(Immutable):
     """Independent uniform noise between `lower` and `upper` (nw,)."""

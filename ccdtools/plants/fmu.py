@@ -8,6 +8,7 @@ Modelica Association, "Functional mock-up interface for model exchange and co-si
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -50,8 +51,9 @@ def from_fmu(
 ) -> BlackBox:  # fmt: skip
     """Plant of an FMU for model exchange (FMI 2.0 or 3.0), from any state.
 
-    Its derivatives are integrated by Runge–Kutta steps with inputs held; its time stands at 0, and state events are not
-    located. FMPy (``pip install "ccdtools[fmu]"``) loads it.
+    Its derivatives are integrated by Runge–Kutta steps with inputs held; its time stands at 0. Events are handled at
+    its begin alone: what they would change later, such as a speed at a bounce, stays. An FMU that has some is warned
+    of. FMPy (``pip install "ccdtools[fmu]"``) loads it.
 
     Parameters
     ----------
@@ -103,6 +105,15 @@ def from_fmu(
             raise InputError(argument, shown(unknown), expected, nearest(unknown, of_kind[kind]))
     if len({*given, *disturbances}) < len(given) + len(disturbances):
         raise InputError("inputs", f"{given} beside disturbances {list(disturbances)}", "each input of the FMU once")
+    left = [name for name in of_kind["input"] if name not in given and name not in disturbances]
+    events = described.numberOfEventIndicators or len(described.eventIndicators)
+    for number, said in (
+        (len(left), f"inputs of the FMU that are neither u nor w stay at their start: {', '.join(left)}"),
+        (events, f"the FMU has {events} event indicators, and no event is handled after its begin: bounces, stops and "
+                 "relays that it states as events are left out; those in its derivatives are not"),
+    ):  # fmt: skip
+        if number:
+            warnings.warn(f"path: {said}", UserWarning, stacklevel=2)
     references = tuple(tuple(known[name].valueReference for name in names) for names in
                        (given, disturbances, design.names))  # fmt: skip
     step = FmuStep(where, as_positive("dt", dt, unit="s"), as_count("substeps", substeps), references)

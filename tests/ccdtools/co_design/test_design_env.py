@@ -207,6 +207,8 @@ def test_wrong_calls_name_their_argument(problem):
     for options in ({"history": 2}, {"output": np.eye(2)}):
         with pytest.raises(InputError, match="output, history"):
             DesignEnv(problem, **options)
+    with pytest.raises(InputError, match="history: got 0, expected at least 1, of a problem with a measurement"):
+        DesignEnv(replace(problem, measurement=Measurement(np.eye(2), noise=[0.1, 0.1])))
     env = DesignEnv(problem)
     with pytest.raises(InputError, match="step: got no episode"):
         env.step([0.0])

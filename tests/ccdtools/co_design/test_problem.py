@@ -35,6 +35,17 @@ def test_a_fixed_start_repeats_the_state_and_draws_the_disturbance(illustrative,
     assert not np.array_equal(w[0], w[1])
 
 
+@pytest.mark.parametrize("starts", [FixedStart([1.0, 0.0]), RandomStarts([[1.0, 0.0], [0.5, 0.0]])])
+def test_a_plant_without_a_disturbance_needs_none(starts, illustrative):
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    plant = Plant(x, u, ca.SX(0, 1), p, ca.vertcat(x[1], p * u), illustrative.model.design, dt=0.1)
+    problem = replace(illustrative.problem(), model=discretise(plant), scenarios=starts)
+    law = saturated_lqr(problem, [1.0])
+    assert not closed_loop_returns(problem, law, [1.0], rng=np.random.default_rng(0), runs=4).lost.any()
+    with pytest.raises(InputError, match="scenarios: got disturbances of shape"):
+        replace(illustrative.problem(), scenarios=starts)
+
+
 def test_limits_follow_from_the_boxes(illustrative):
     problem = illustrative.problem()
     np.testing.assert_allclose(problem.state_scale, [10, 5])

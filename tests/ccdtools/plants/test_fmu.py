@@ -67,6 +67,17 @@ def stated():
     return Plant(x, u, w, p, [x[1], rate], BOX, dt=0.05)
 
 
+def test_events_and_inputs_that_are_left_out_are_told(tmp_path):
+    known = (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8")
+    eventful = known.replace('numberOfEventIndicators="0"', 'numberOfEventIndicators="2"')
+    with pytest.warns(UserWarning, match="path: the FMU has 2 event indicators, and no event is handled"):
+        from_fmu(packed(tmp_path, eventful), dt=0.05, design=BOX)
+    names = [v.name for v in fmpy.read_model_description(str(tmp_path / "pendulum.fmu")).modelVariables
+             if v.causality == "input"]  # fmt: skip
+    with pytest.warns(UserWarning, match=f"neither u nor w stay at their start: {names[1]}"):
+        from_fmu(packed(tmp_path), dt=0.05, design=BOX, inputs=names[:1])
+
+
 def test_an_fmu_is_simulated_as_the_plant_that_it_was_made_of(path):
     plant = from_fmu(path, dt=0.05, disturbances=["push"], design=BOX)
     assert (plant.nx, plant.nu, plant.nw) == (2, 1, 1)
