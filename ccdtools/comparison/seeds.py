@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
 from ccdtools.arrays import Array
@@ -43,6 +44,34 @@ def mean_over_seeds(values: Array, *, fresh: bool, series: Array | None = None) 
         away.append(_away(found.mean, found.ci95))
     low, high = np.sqrt((np.array(away) ** 2).sum(axis=0)) if away else (np.nan, np.nan)
     return PairedDifference(mean, (mean - float(low), mean + float(high)))
+
+
+def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
+    """Mean of shares in [0, 1] (seeds, runs) with its 95 % interval, which is no point where all agree.
+
+    Wilson's score interval, whose p (1 − p) / n is what `mean_over_seeds` finds as the square of a standard error. What
+    is independent, n, is the seeds that draw runs of their own, the runs of a single seed, or the fewer of both.
+
+    Parameters
+    ----------
+    values : (S, N) array
+        NaN marks what does not count.
+    fresh : bool
+        Whether each seed draws runs of its own.
+
+    References
+    ----------
+    Wilson, Journal of the American Statistical Association 22, 1927.
+    """
+    found = mean_over_seeds(values, fresh=fresh)
+    seeds, runs = (len(kept_means(values, axis)) for axis in (1, 0))
+    counted = [size for size, given in ((seeds, len(values)), (runs, values.shape[1])) if given > 1]
+    independent = max(1, seeds if fresh and len(values) > 1 else min(counted, default=1))
+    z = float(norm.isf(0.025)) ** 2 / independent
+    away = np.nan_to_num([_away(found.mean, found.ci95)])[0]
+    middle = (found.mean + z / 2) / (1 + z)
+    low, high = np.hypot(away, z / 2) / (1 + z)
+    return PairedDifference(found.mean, (max(middle - float(low), 0.0), min(middle + float(high), 1.0)))
 
 
 def interquartile_mean(values: Array) -> PairedDifference:
