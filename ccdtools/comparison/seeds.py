@@ -7,7 +7,13 @@ from scipy.stats import norm
 from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
 from ccdtools.arrays import Array
-from ccdtools.statistics import PairedDifference, interval_of_crossed, kept_means, summarise_returns
+from ccdtools.statistics import (
+    PairedDifference,
+    interval_of_crossed,
+    kept_means,
+    summarise_returns,
+    variance_of_crossed,
+)
 
 QUARTERS = (0.25, 0.25)
 
@@ -49,8 +55,8 @@ def mean_over_seeds(values: Array, *, fresh: bool, series: Array | None = None) 
 def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
     """Mean of shares in [0, 1] (seeds, runs) with its 95 % interval, which is no point where all agree.
 
-    Wilson's score interval, whose p (1 − p) / n is what `mean_over_seeds` finds as the square of a standard error. What
-    is independent, n, is the seeds that draw runs of their own, the runs of a single seed, or the fewer of both.
+    Wilson's score interval; the variance of the mean takes the place of p (1 − p) / n, which it is for the runs of a
+    single seed. What is independent, n, is seeds that draw runs of their own, or else the fewer of seeds and runs.
 
     Parameters
     ----------
@@ -63,15 +69,16 @@ def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
     ----------
     Wilson, Journal of the American Statistical Association 22, 1927.
     """
-    found = mean_over_seeds(values, fresh=fresh)
-    seeds, runs = (len(kept_means(values, axis)) for axis in (1, 0))
-    counted = [size for size, given in ((seeds, len(values)), (runs, values.shape[1])) if given > 1]
-    independent = max(1, seeds if fresh and len(values) > 1 else min(counted, default=1))
-    z = float(norm.isf(0.025)) ** 2 / independent
-    away = np.nan_to_num([_away(found.mean, found.ci95)])[0]
-    middle = (found.mean + z / 2) / (1 + z)
-    low, high = np.hypot(away, z / 2) / (1 + z)
-    return PairedDifference(found.mean, (max(middle - float(low), 0.0), min(middle + float(high), 1.0)))
+    of_seeds = kept_means(values, axis=1)
+    if not len(of_seeds):
+        return PairedDifference(np.nan, (np.nan, np.nan))
+    table = of_seeds[:, None] if fresh and len(values) > 1 else values
+    n = min((size for size in (len(of_seeds), len(kept_means(table, axis=0))) if size > 1), default=1)
+    mean, z = float(of_seeds.mean()), float(norm.isf(0.025))
+    middle = mean + z**2 / (2 * n)
+    away = np.hypot(z * np.sqrt(variance_of_crossed(table) * (n - 1) / n), z**2 / (2 * n))
+    low, high = ((middle + end) / (1 + z**2 / n) for end in (-away, away))
+    return PairedDifference(mean, (max(float(low), 0.0), min(float(high), 1.0)))
 
 
 def interquartile_mean(values: Array) -> PairedDifference:
