@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import beta, t as student
 from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
 from ccdtools.arrays import Array
@@ -55,8 +55,9 @@ def mean_over_seeds(values: Array, *, fresh: bool, series: Array | None = None) 
 def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
     """Mean of shares in [0, 1] (seeds, runs) with its 95 % interval, which is no point where all agree.
 
-    Wilson's score interval; the variance of the mean takes the place of p (1 − p) / n, which it is for the runs of a
-    single seed. What is independent, n, is seeds that draw runs of their own, or else the fewer of seeds and runs.
+    Clopper and Pearson's, of as many runs as a share of this variance would have if they were independent: no more than
+    there are, and no less than what surely is independent, seeds that draw runs of their own, or else the fewer of
+    seeds and runs. Runs of a single seed are as many as they are.
 
     Parameters
     ----------
@@ -67,18 +68,21 @@ def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
 
     References
     ----------
-    Wilson, Journal of the American Statistical Association 22, 1927.
+    Clopper and Pearson, Biometrika 26, 1934; Korn and Graubard, Survey Methodology 24, 1998 (the number of runs).
     """
     of_seeds = kept_means(values, axis=1)
     if not len(of_seeds):
         return PairedDifference(np.nan, (np.nan, np.nan))
+    mean, runs = float(of_seeds.mean()), int((~np.isnan(values)).sum())
     table = of_seeds[:, None] if fresh and len(values) > 1 else values
-    n = min((size for size in (len(of_seeds), len(kept_means(table, axis=0))) if size > 1), default=1)
-    mean, z = float(of_seeds.mean()), float(norm.isf(0.025))
-    middle = mean + z**2 / (2 * n)
-    away = np.hypot(z * np.sqrt(variance_of_crossed(table) * (n - 1) / n), z**2 / (2 * n))
-    low, high = ((middle + end) / (1 + z**2 / n) for end in (-away, away))
-    return PairedDifference(mean, (max(float(low), 0.0), min(float(high), 1.0)))
+    least = min((size for size in (len(of_seeds), len(kept_means(table, axis=0))) if size > 1), default=1)
+    few = np.square(student.isf(0.025, runs - 1) / student.isf(0.025, least - 1))
+    variance = variance_of_crossed(table) * (least - 1) / least
+    with np.errstate(divide="ignore", invalid="ignore"):  # without variance nothing is known of it
+        counted = np.clip(np.nan_to_num(few * np.divide(mean * (1 - mean), variance), nan=least), least, runs)
+    won = mean * counted
+    low, high = beta.ppf(0.025, won, counted - won + 1), beta.ppf(0.975, won + 1, counted - won)
+    return PairedDifference(mean, (float(np.nan_to_num(low)), float(np.nan_to_num(high, nan=1.0))))
 
 
 def interquartile_mean(values: Array) -> PairedDifference:

@@ -457,20 +457,20 @@ def test_a_baseline_that_does_nothing_is_named():
 @pytest.mark.parametrize("seeds", [1, 3, 12])
 @pytest.mark.parametrize("fresh", [True, False])
 def test_a_share_of_all_runs_or_of_none_has_an_interval(seeds, fresh):
-    """At 0 and 1 it is Wilson's: of the runs of one seed, of seeds that draw their own, or of the fewer of both."""
+    """There it is that of Clopper and Pearson: of the runs of one seed, of fresh seeds, or of the fewer of both."""
     laws = {"LQR": LAWS["LQR"], "wild": lambda p, rng: lambda x: -9.0 * np.ones((len(x), 1))}
     for (one, other), at in ((laws, 0), (reversed(laws), 1)):
         start = drawn if fresh else drawn(np.random.default_rng(5))
         better = found(laws, start, seeds=seeds, baseline=one)[other].better
         n = 7 if seeds == 1 else seeds if fresh else min(seeds, 7)
         assert better.mean == at
-        expected = binomtest(at * n, n).proportion_ci(method="wilson")
+        expected = binomtest(at * n, n).proportion_ci()
         assert better.ci95 == pytest.approx((expected.low, expected.high), abs=1e-9)
 
 
-def test_a_share_of_the_runs_of_one_seed_has_wilsons_interval():
+def test_a_share_of_the_runs_of_one_seed_has_the_exact_interval():
     better = found({"LQR": LAWS["LQR"], "weak": lambda p, rng: LinearFeedback([[0.3]])}, seeds=1)["weak"].better
     won = round(7 * better.mean)
-    expected = binomtest(won, 7).proportion_ci(method="wilson")
+    expected = binomtest(won, 7).proportion_ci()
     assert 0 < won < 7
     assert better.ci95 == pytest.approx((expected.low, expected.high), abs=1e-9)
