@@ -474,3 +474,12 @@ def test_a_share_of_the_runs_of_one_seed_has_the_exact_interval():
     expected = binomtest(won, 7).proportion_ci()
     assert 0 < won < 7
     assert better.ci95 == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_a_single_run_that_is_lost_leaves_a_row_in_both_tables():
+    drive = Scenario(plant_from_matrices([[2.0]], [[1.0]], [[1.0]], dt=1.0, continuous=False), [1.0], np.ones((60, 1)))
+    laws = {"LQR": LinearFeedback([[1.5]]), "none": Passive(1)}
+    given = {"objective": OBJECTIVE, "X": ([-5.0], [5.0])}
+    assert compare(laws, drive, **given)["none"].diverged == 1.0
+    made = {name: lambda p, rng, law=law: law for name, law in laws.items()}
+    assert experiment(made, drive, seeds=1, **given)["none"].word == "loses more runs"
