@@ -5,6 +5,7 @@
     python benchmarks/bench_comparison.py --cover 1000    # comparisons whose truth is known
     python benchmarks/bench_comparison.py --tables 4000   # and tables of seeds and runs of other truths
     python benchmarks/bench_comparison.py --table FOLDER  # all four, kept in a folder
+    python benchmarks/bench_comparison.py --list          # their commands
 
 Two designs, three scenarios, and the car with one parameter off by 20 % with ``--plants``. PPO is trained from
 scratch for every design and seed, 192 000 samples each.
@@ -245,12 +246,13 @@ def main() -> None:
     parser.add_argument("--cover", type=int)
     parser.add_argument("--tables", type=int)
     parser.add_argument("--table", type=Path)
+    parser.add_argument("--list", action="store_true", help="rows and their commands")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     torch.set_num_threads(1)
     if asked.part:
         compared(SEEDS, 2, asked.part)
-    elif asked.table:
+    elif asked.table or asked.list:
         printed(ROWS, asked.table, [])
     elif asked.same:
         same()

@@ -173,10 +173,12 @@ def further_outside(own: Excursions, other: Excursions) -> bool:
     """
     n = min(len(own.peak), len(other.peak))
     kept = ~(np.asarray(own.lost)[:n] | np.asarray(other.lost)[:n])
+    if not kept.any():
+        return False
     for measure in ("peak", "fraction"):
         values, reference = (getattr(one, measure)[:n][kept] for one in (own, other))
         difference = mean_interval(values - reference) if own.single else paired_difference(values, reference)
-        needed = max(FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART * float(reference.mean())) if len(reference) else np.inf
+        needed = max(FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART * float(reference.mean()))
         if difference.ci95[0] > 0 and difference.mean > needed:
             return True
     return False

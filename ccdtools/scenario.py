@@ -85,10 +85,13 @@ class Scenario(Immutable):
 
     def first(self, runs: int, steps: int | None = None) -> Scenario:
         """Scenario of the first `runs` runs and `steps` steps."""
+        return self.part(slice(as_count("runs", runs)), steps)
+
+    def part(self, runs: slice, steps: int | None = None) -> Scenario:
+        """Scenario of some of its runs and the first `steps` steps."""
         length = self.steps if steps is None else as_count("steps", steps)
-        w = self.disturbance[: as_count("runs", runs), :length]
-        output = None if self.output is None else self.output.first(runs, length)
-        return Scenario(self.plant, self.x0[:runs], w, self.reference, output, self.seed)
+        output = None if self.output is None else self.output.part(runs, length)
+        return Scenario(self.plant, self.x0[runs], self.disturbance[runs, :length], self.reference, output, self.seed)
 
     def run(
         self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,

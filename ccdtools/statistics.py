@@ -191,13 +191,20 @@ def interval_of_crossed(values: ArrayLike, level: float = 0.95) -> tuple[float, 
     shapes = [_skewness_and_degrees(parts) for parts in factors]
     squares = [float(parts.var(ddof=1)) / len(parts) for parts in factors]
     together, free = _together(table)
-    variance = max(sum(squares) - together, *squares)
+    variance = variance_of_crossed(table)
     if variance == 0:
         return (mean, mean)
     degrees = [min(len(parts) - 1.0, max(own, FEWEST_RUNS)) for parts, (_, own) in zip(factors, shapes)]
     doubt = together**2 / free + sum(square**2 / own for square, own in zip(squares, degrees))
     skewness = sum(own * square**1.5 for square, (own, _) in zip(squares, shapes)) / variance**1.5
     return _skewed(mean, float(np.sqrt(variance)), skewness, variance**2 / doubt, level)
+
+
+def variance_of_crossed(values: Array) -> float:
+    """Variance of a mean over rows and columns (S, N) that are both drawn; see `interval_of_crossed`."""
+    factors = [parts for parts in (kept_means(values, axis) for axis in (1, 0)) if len(parts) > 1]
+    squares = [float(parts.var(ddof=1)) / len(parts) for parts in factors]
+    return max(sum(squares) - _together(values)[0], *squares, 0.0)
 
 
 def kept_means(values: Array, axis: int) -> Array:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.comparison.experiment_record import Cell, Record
-from ccdtools.comparison.seeds import interquartile_mean, mean_over_seeds
+from ccdtools.comparison.idle import nothing_done
+from ccdtools.comparison.seeds import interquartile_mean, mean_over_seeds, share_over_seeds
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Violation
 from ccdtools.evidence.percent import word_of_gain
 from ccdtools.limits import Excursions, further_outside
@@ -38,17 +39,17 @@ class Compared:
     seeds, runs : int
         Seeds that it was made with, and runs of each.
     stopped : int
-        Seeds for which no controller could be made, or a simulator stopped, but not with the baseline; the remark says
-        why.
+        Seeds for which no controller could be made, or a run stopped, but not with the baseline; the remark says why.
     value : PairedDifference
         Mean return of the runs that did not diverge, with its 95 % interval.
     middle : PairedDifference
         Interquartile mean over seeds, or over the runs of one; a lost run is worse than any other.
     evidence : Evidence
-        The gain over the baseline on the same runs, and the runs that each lost. A seed for which no controller could
-        be made has lost all.
+        The gain over the baseline on the same runs, and the runs that each lost. One that stopped is lost, and a seed
+        for which no controller could be made has lost all. There is no gain where a return is no number.
     better : PairedDifference
-        Share of the runs in which its return is higher than the baseline's; those equal to five digits count half.
+        Share of the runs in which its return is higher than the baseline's; those equal to five digits count half, and
+        those in which the baseline stopped do not.
     fraction, peak : float
         Of the states outside the limits, and mean largest depth in half-widths.
     times : (k,) array
@@ -136,26 +137,28 @@ def compared(
     own, other = ({one.seed: cell for one in some for cell in one.cells if (cell.scenario, cell.plant) == names[2:]}
                   for some in (records, base))  # fmt: skip
     cells = list(own.values())
-    pairs = [(cell, other[seed]) for seed, cell in own.items() if seed in other]
-    made = [one for one in records if one.cells or not one.refused]
-    refused, base_refused = ([one for one in some if one.refused and one.seed not in met]
-                             for some, met in ((records, own), (base, other)))  # fmt: skip
-    told = [f"seed {one.seed}: {one.refused}" for one in refused]
+    made = [one for one in records if one.made]
+    stopped, base_stopped = ({seed for seed, cell in some.items() if cell.stopped} for some in (own, other))
+    no_number = [_no_number(names, seed, cell) for seed, cell in own.items() if len(cell.undefined)]
+    judged = cells if not no_number else []
+    pairs = [] if any(len(cell.undefined) for cell in (*cells, *other.values())) else list(zip(cells, other.values()))
+    told = [*no_number, *(f"seed {seed}: {own[seed].stopped}" for seed in sorted(stopped))]
     own_words = [one.remark for one in records if one.remark]
-    kept = [np.where(cell.lost, np.nan, cell.returns) for cell in cells]
-    worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
+    idle = [nothing_done(_place(names))] * (names[0] == baseline and all(cell.idle for cell in cells))
+    kept = [np.where(cell.lost, np.nan, cell.returns) for cell in judged]
+    worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in judged]
     left = [_left(cell) for cell in cells]
-    runs = max((len(cell.returns) for cell in (*cells, *other.values())), default=1)
-    lost, begun = _lost(runs * len(refused), own.values())
-    base_lost, _ = _lost(runs * len(base_refused), other.values())
+    runs = max(len(cell.returns) for cell in cells)
+    lost, base_lost = (sum(int(cell.lost.sum()) for cell in some.values()) for some in (own, other))
+    begun = sum(len(cell.returns) for cell in cells)
     grouped = f"{len(records)} seeds of {runs} runs"
     median, most = np.median([(one.c_step_time, one.c_step_time_99) for one in made or records], axis=0)
     return Compared(
-        names, len(cells), runs, len({one.seed for one in refused} - {one.seed for one in base_refused}),
-        value=_mean(kept, fresh, [cell.series for cell in cells if not cell.lost.any()]),
-        middle=interquartile_mean(_table(worst)) if cells else NOTHING,
+        names, len(made), runs, len(stopped - base_stopped),
+        value=_mean(kept, fresh, [cell.series for cell in judged if not cell.lost.any()]),
+        middle=interquartile_mean(_table(worst)) if judged else NOTHING,
         evidence=_evidence(names, baseline, pairs, fresh, (lost, base_lost), (begun, grouped)),
-        better=_mean([_won(*pair) for pair in pairs], fresh, []),
+        better=share_over_seeds(_table([_won(*pair) for pair in pairs]), fresh=fresh) if pairs else NOTHING,
         fraction=_average([one[0] for one in left]),
         peak=_average([one[1] for one in left]),
         times=np.concatenate([np.zeros(0), *(cell.times for cell in cells)]),
@@ -163,7 +166,7 @@ def compared(
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
         c_step_time=(float(median), float(most)),
         metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
-        remark=next(iter([*told, *own_words]), ""), apart=len(own_words) == len(records),
+        remark=next(iter([*told, *own_words, *idle]), ""), apart=len(own_words) == len(records),
     )  # fmt: skip
 
 
@@ -172,7 +175,6 @@ def _evidence(
     begun: tuple[int, str],
 ) -> Evidence:  # fmt: skip
     """Evidence of the pairs of cells with common seeds, and of the runs that each lost."""
-    distribution = ", ".join(name for name in names[2:] if name) or "the scenario"
     candidate = ", ".join(name for name in names[:2] if name)
     kept = [~(own.lost | base.lost) for own, base in pairs]
     both = [[np.where(keep, cell.returns, np.nan) for keep, cell in zip(kept, cells)] for cells in zip(*pairs)]
@@ -183,9 +185,20 @@ def _evidence(
         values = (_mean(both[0], fresh, []).mean, _mean(both[1], fresh, []).mean)
         size = abs(values[1] + pairs[0][1].design_cost)
     return Evidence(
-        candidate, baseline, distribution, Asked.TOLERANCE, gain, values, size, *begun, lost,
+        candidate, baseline, _place(names), Asked.TOLERANCE, gain, values, size, *begun, lost,
         violation=_violation(pairs),
     )  # fmt: skip
+
+
+def _place(names: Names) -> str:
+    """Names of scenario and plant."""
+    return ", ".join(name for name in names[2:] if name) or "the scenario"
+
+
+def _no_number(names: Names, seed: int, cell: Cell) -> str:
+    """Which return is no number."""
+    run = cell.undefined[0]
+    return f"seed {seed}: {_place(names)}: run {run} has the return {cell.returns[run]}, so that there is no verdict"
 
 
 def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
@@ -219,9 +232,9 @@ def _left(cell: Cell) -> tuple[float, float]:
 
 
 def _won(own: Cell, base: Cell) -> Array:
-    """Runs (N,) better than the baseline's; equal ones, to five digits, count half."""
+    """Runs (N,) better than the baseline's; equal ones, to five digits, count half, and NaN where that stopped."""
     first, second = (np.where(cell.lost, -np.inf, cell.returns) for cell in (own, base))
-    return np.where(np.isclose(first, second, atol=0.0), 0.5, first > second)
+    return np.where(np.isnan(base.returns), np.nan, np.where(np.isclose(first, second, atol=0.0), 0.5, first > second))
 
 
 def _mean(values: Sequence[Array], fresh: bool, series: Sequence[Array]) -> PairedDifference:
@@ -245,12 +258,6 @@ def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Mean metrics over the seeds; NaN where one of them has none."""
     names = dict.fromkeys(name for one in found for name in one)
     return {name: float(np.mean([one.get(name, np.nan) for one in found])) for name in names}
-
-
-def _lost(refused: int, cells: Collection[Cell]) -> tuple[int, int]:
-    """Numbers of lost runs and of runs, refused ones included."""
-    lost = sum(int(cell.lost.sum()) for cell in cells)
-    return refused + lost, refused + sum(len(cell.returns) for cell in cells)
 
 
 def _average(values: Sequence[float]) -> float:

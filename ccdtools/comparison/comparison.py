@@ -16,6 +16,7 @@ from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.budgets import TIMED_CALLS
 from ccdtools.comparison.c_step_time import NONE, c_step_time
+from ccdtools.comparison.idle import nothing_done
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
@@ -296,6 +297,7 @@ def _score(
     other = reference.rewards(objective)[:n]
     shared = other[kept].sum(axis=1)
     median, most = c_step_time(controller, run) if compiled else NONE
+    idle = run is reference and not run.inputs.any()
     return Score(
         controller=name,
         summary=summarise_returns(own[~run.diverged], runs=n),
@@ -311,7 +313,7 @@ def _score(
         step_time=float(np.median(step_times(controller, run.states[0], scenario, run.design))),
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
         runs=n,
-        remark=getattr(controller, "remark", ""),
+        remark=getattr(controller, "remark", "") or nothing_done("the scenario") * idle,
         c_step_time=median,
         c_step_time_99=most,
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,13 +16,13 @@ from threadpoolctl import threadpool_limits
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
-from ccdtools.comparison.budgets import PROBES
 from ccdtools.comparison.c_step_time import NONE, c_step_time
 from ccdtools.comparison.comparison import step_times
 from ccdtools.comparison.content import content_of
 from ccdtools.comparison.experiment_header import conditions_in_words, described
-from ccdtools.comparison.experiment_record import Cell, Record, digest, read_record, write_record
+from ccdtools.comparison.experiment_record import Cell, Record, read_record, write_record
 from ccdtools.comparison.experiment_table import Experiment
+from ccdtools.comparison.finished_runs import Runs, joined, stopped_runs
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Passive
@@ -42,6 +42,7 @@ from invariant_sets.system_checks import as_set
 Maker = Callable[[Array, np.random.Generator], Any]
 Drawn = Callable[[np.random.Generator], Scenario]
 Task = tuple[str, str, int]  # names of a controller and of a design, and a seed
+Place = tuple[str, str]  # names of a scenario and of a plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,25 +58,23 @@ class Plan:
     limit: ArrayLike | None
     output_limits: OutputLimits | None
     metrics: Metrics | None
-    folder: Path | None
-    contents: Mapping[str, str]  # of the controllers' functions, where there is a folder
     compiled: bool
 
-    def record(self, task: Task) -> Record:
-        """Record of a task, from the folder where it is finished."""
-        scenarios = self.conditions(task[2])
-        with one_thread():
-            if self.folder is None:
-                return self._computed(task, scenarios)
-            file = self.folder / f"{self._digest(task, scenarios)}.npz"
-            if file.exists():
-                return read_record(file)
-            record = self._computed(task, scenarios)
-        if not record.refused:
-            write_record(file, record)
+    def record(self, asked: tuple[Task, Path | None]) -> Record:
+        """Record of a task, from its file where it is finished."""
+        task, file = asked
+        if file is None:
+            return self._computed(task)
+        stopped_file = file.with_suffix(f".stopped{file.suffix}")
+        for kept in (file, stopped_file):
+            if kept.exists():
+                return read_record(kept)
+        record = self._computed(task)
+        if record.made:
+            write_record(stopped_file if any(cell.stopped for cell in record.cells) else file, record)
         return record
 
-    def conditions(self, seed: int) -> dict[tuple[str, str], Scenario]:
+    def conditions(self, seed: int) -> dict[Place, Scenario]:
         """Scenarios of a seed, by their names and those of the plants."""
         found = {}
         for name, given in self.scenarios.items():
@@ -85,43 +84,63 @@ class Plan:
                 found[name, of_plant] = scenario if plant is None else replace(scenario, plant=plant)
         return found
 
-    def _computed(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> Record:
+    def files(self, folder: Path, tasks: Sequence[Task]) -> list[Path]:
+        """Files of tasks, named after all that was given for them."""
+        makers = {name: content_of(maker) for name, maker in self.controllers.items()}
+        seeds = {seed: content_of(self.conditions(seed)) for seed in dict.fromkeys(seed for *_, seed in tasks)}
+        common = content_of((self.objective, self.X, self.limit, self.output_limits, self.metrics, self.compiled))
+        return [
+            folder / f"{content_of((task, makers[task[0]], self.designs[task[1]], seeds[task[2]], common))}.npz"
+            for task in tasks
+        ]
+
+    def _computed(self, task: Task) -> Record:
         """Record of a task; errors of the controller are told, all others are raised."""
         name, of_design, seed = task
-        p = self.designs[of_design]
-        start = time.perf_counter()
-        runs: dict[tuple[str, str], tuple[Trajectory, Array]] = {}
-        refused: list[str] = []
-        try:
-            made = self.controllers[name](p, _generator(seed, "controller", name, of_design))
-            seconds = time.perf_counter() - start
-            given, steps = made if isinstance(made, tuple) and len(made) == 2 else (made, 0)
-            steps = as_count("steps", steps, least=0)
-            controller = as_controller(given)
-            needs_of(controller)
-        except Exception as error:  # a controller that fails must not lose what the others found
-            return Record(*task, refused=_reason(error, ()))
-        for at, scenario in scenarios.items():
+        p, scenarios = self.designs[of_design], self.conditions(seed)
+        with one_thread():
+            start = time.perf_counter()
             try:
-                run = self.simulated(scenario, controller, p)
-                runs[at] = run, step_times(controller, run.states[0], scenario, p)
-            except Exception as error:
-                refused.append(_reason(error, at))
-        median, most = c_step_time(controller, next(iter(runs.values()))[0]) if self.compiled and runs else NONE
-        cells = tuple(self._cell(names, scenarios[names], *found) for names, found in runs.items())
-        return Record(
-            *task,
-            cells,
-            seconds,
-            steps,
-            refused="; ".join(refused),
-            remark=str(getattr(controller, "remark", "")),
-            about=described(given),
-            c_step_time=median,
-            c_step_time_99=most,
-        )
+                made = self.controllers[name](p, _generator(seed, "controller", name, of_design))
+                seconds = time.perf_counter() - start
+                given, steps = made if isinstance(made, tuple) and len(made) == 2 else (made, 0)
+                steps = as_count("steps", steps, least=0)
+                controller = as_controller(given)
+                needs_of(controller)
+            except Exception as error:  # a controller that fails must not lose what the others found
+                why = _reason(error)
+                return Record(*task, tuple(
+                    self._cell(at, scenario, stopped_runs(scenario, p, why), why) for at, scenario in scenarios.items()
+                ))  # fmt: skip
+            met = {at: self._met(scenario, controller, p) for at, scenario in scenarios.items()}
+            timed = next((runs.run for runs in met.values() if not runs.stopped.all()), None)
+            median, most = c_step_time(controller, timed) if self.compiled and timed is not None else NONE
+            return Record(
+                *task,
+                tuple(self._cell(at, scenarios[at], runs, _where(runs, at)) for at, runs in met.items()),
+                seconds,
+                steps,
+                remark=str(getattr(controller, "remark", "")),
+                about=described(given),
+                c_step_time=median,
+                c_step_time_99=most,
+            )
 
-    def _cell(self, names: tuple[str, str], scenario: Scenario, run: Trajectory, times: Array) -> Cell:
+    def _met(self, scenario: Scenario, controller: Any, p: Array) -> Runs:
+        """Runs of a controller; where one stops, its half of them is tried again, so that the others are kept."""
+        runs = len(scenario.x0)
+        try:
+            run = self.simulated(scenario, controller, p)
+            return Runs(run, np.zeros(runs, dtype=bool), step_times(controller, run.states[0], scenario, p))
+        except Exception as error:
+            if runs == 1:
+                return stopped_runs(scenario, p, _reason(error))
+        return joined(*(
+            self._met(scenario.part(half), controller, p) for half in (slice(runs // 2), slice(runs // 2, None))
+        ))  # fmt: skip
+
+    def _cell(self, names: Place, scenario: Scenario, runs: Runs, why: str) -> Cell:
+        run, stopped = runs.run, runs.stopped
         outside = Excursions.from_trajectory(
             run, self.limits_at(scenario, run.design), scenario.plant, self.output_limits
         )[1]  # fmt: skip
@@ -129,11 +148,12 @@ class Plan:
         single = len(rewards) == 1
         by_chance = scenario.disturbance.any() or np.any(getattr(scenario.output, "noise", None))
         return Cell(
-            *names, returns=rewards.sum(axis=1), lost=run.diverged, fraction=outside.fraction, peak=outside.peak,
-            exceeded=outside.exceeded, single=single, times=times,
-            series=rewards[0] if single and by_chance else np.zeros(0),
+            *names, returns=np.where(stopped, np.nan, rewards.sum(axis=1)), lost=run.diverged,
+            fraction=outside.fraction, peak=outside.peak, exceeded=outside.exceeded, single=single, times=runs.times,
+            series=rewards[0] if single and by_chance and not stopped.any() else np.zeros(0),
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
-            metrics={} if self.metrics is None else metrics_of(self.metrics, run),
+            metrics={} if self.metrics is None or stopped.all() else metrics_of(self.metrics, run),
+            stopped=why, idle=not (stopped.all() or run.inputs.any()),
         )  # fmt: skip
 
     def simulated(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory:
@@ -145,67 +165,19 @@ class Plan:
         """Set X at a design."""
         return as_set(self.X.at(p) if isinstance(self.X, DesignLimits) else self.X, "X", scenario.plant.nx)
 
-    def _digest(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> str:
-        """Name of a task, what makes its controller, and its conditions."""
-        p = self.designs[task[1]]
-        parts: list[Any] = [*task, self.contents[task[0]], p, self.limit, *["compiled"] * self.compiled]
-        for names, scenario in scenarios.items():
-            followed = (getattr(scenario.reference, name, None) for name in ("x", "u"))
-            noise = getattr(scenario.output, "noise", None)
-            with np.errstate(all="ignore"):  # steps by chance go beyond all numbers
-                parts += [names, scenario.x0, scenario.disturbance, *followed, noise, *self._shown(scenario, p)]
-        return digest(*parts)
 
-    def _shown(self, scenario: Scenario, p: Array) -> Iterator[Any]:
-        """What tells plant, sensors, objective, limits and metrics apart: a run without input, and steps by chance."""
-        X = self.limits_at(scenario, p)
-        rest = self.at_rest(scenario, p)
-        sensor = scenario.sensor(p)
-        if sensor is not None and isinstance(rest, Trajectory):
-            last = np.ones((1, scenario.plant.nu))
-            yield np.array([sensor(k, x[None], last) for k, x in enumerate(rest.states[0, :-1])])
-        told = self.metrics is not None and self.whole(rest, scenario)
-        yield sorted(metrics_of(self.metrics, rest).items()) if told else {}  # type: ignore[arg-type]
-        for run in (rest, self._by_chance(scenario, X, p)):
-            if isinstance(run, Trajectory):
-                outside = Excursions.from_trajectory(run, X, scenario.plant, self.output_limits)[1]
-                yield from (run.states, run.rewards(self.objective), outside.peak)
-            else:
-                yield run
-
-    @staticmethod
-    def whole(run: Trajectory | str, scenario: Scenario) -> TypeGuard[Trajectory]:
-        """Whether a simulator has gone to the end."""
-        return isinstance(run, Trajectory) and run.inputs.shape[1] == scenario.steps
-
-    def at_rest(self, scenario: Scenario, p: Array) -> Trajectory | str:
-        """A run without input, up to where a simulator stops, or what it says."""
-        return self._tried(scenario.first(1), Passive(scenario.plant.nu), p)
-
-    def _tried(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory | str:
-        """Runs, up to where a simulator stops, or what it says."""
-        try:
-            return self.simulated(scenario, controller, p)
-        except CCDError as error:
-            kept = getattr(error, "kept", None)
-            return kept if isinstance(kept, Trajectory) else str(error)
-
-    def _by_chance(self, scenario: Scenario, X: Any, p: Array) -> Trajectory | str:
-        """Three steps from states, by inputs and under disturbances of many sizes, or what a simulator says of them."""
-        rng, plant = np.random.default_rng(0), scenario.plant
-        lower, upper = X.bounding_box()
-        x = np.where(np.isfinite(upper - lower), (upper - lower) / 2, 1.0) * rng.standard_normal((PROBES, plant.nx))
-        u = 10 ** rng.uniform(-2, 4, (PROBES, 1)) * rng.standard_normal((PROBES, plant.nu))
-        w = 10 ** rng.uniform(-2, 2, (PROBES, 1, 1)) * rng.standard_normal((PROBES, 3, plant.nw))
-        return self._tried(Scenario(plant, x, w), lambda _: u, p)
-
-
-def _reason(error: Exception, at: tuple[str, ...]) -> str:
-    """What an error says, and where it was met."""
+def _reason(error: Exception) -> str:
+    """What an error says."""
     said = " ".join(str(error).split())
-    place = [name for name in at if name]
-    own = [said] if isinstance(error, CCDError) else [f"stopped with {type(error).__name__}", said]
-    return ": ".join([*([", ".join(place)] if place else []), *own])
+    return said if isinstance(error, CCDError) else f"stopped with {type(error).__name__}: {said}"
+
+
+def _where(runs: Runs, at: Place) -> str:
+    """Why runs stopped, where, and how many; empty if none did."""
+    if not runs.why:
+        return ""
+    said = f"{runs.why} ({runs.stopped.sum()} of {len(runs.stopped)} runs)"
+    return ": ".join(filter(None, (", ".join(filter(None, at)), said)))
 
 
 def experiment(
@@ -258,9 +230,10 @@ def experiment(
         Where every finished task is kept and found again, after an interruption or with more seeds or controllers. A
         controller is known by its name and by what its function does, holds and calls of your own code: one that was
         changed runs anew, and its old numbers stay for when it is changed back. A list or memory of your module that it
-        changes is part of that: it runs anew each time. Starts,
-        disturbances, noise, references and limits are compared whole; plants, objectives, sensors and metrics by what
-        they show in one run without input and in steps by chance.
+        changes is part of that: it runs anew each time. So are plants, scenarios, objectives, sensors, limits and
+        metrics: what does not say what it holds counts as another each time. A controller that was made is not made
+        again where a run stopped: what it found is kept, as if such a run would always stop. Where it would not, as
+        without a licence, delete the files ``*.stopped.npz``.
     jobs : int
         Processes, −1 for all cores; joblib's backend is taken, such as Dask's.
     progress : bool
@@ -292,15 +265,17 @@ def experiment(
     as_metrics(metrics)
     plan = Plan(
         made, _as_scenarios(scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
-        output_limits, metrics, None if folder is None else _as_folder(folder),
-        {} if folder is None else {name: content_of(maker) for name, maker in made.items()},
-        as_flag("compiled", compiled),
+        output_limits, metrics, as_flag("compiled", compiled),
     )  # fmt: skip
     numbers = as_seeds(seeds)
+    kept_in = None if folder is None else _as_folder(folder)
     _check(plan, numbers[0])
     tasks = [(name, design, seed) for seed in numbers for design in plan.designs for name in made]
     names = [f"{name}, seed {seed}" for name, _, seed in tasks]
-    found = as_they_end(plan.record, tasks, jobs=as_jobs(jobs), label="tasks", names=names, progress=progress)
+    files = [None] * len(tasks) if kept_in is None else plan.files(kept_in, tasks)
+    found = as_they_end(
+        plan.record, list(zip(tasks, files)), jobs=as_jobs(jobs), label="tasks", names=names, progress=progress
+    )
     records = tuple(found)
     first, p = plan.conditions(numbers[0]), next(iter(plan.designs.values()))
     sets = [plan.limits_at(scenario, p) for scenario in first.values()]
@@ -431,11 +406,12 @@ def _check(plan: Plan, seed: int) -> None:
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
             try:
-                run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
-            except SimulatorError:  # each controller is told of it
-                continue
+                run = plan.simulated(scenario.first(1), Passive(scenario.plant.nu), p)
+                if plan.metrics is not None:
+                    metrics_of(plan.metrics, run)
+            except SimulatorError as error:  # each controller is told of it
+                if not isinstance(error.kept, Trajectory):
+                    continue
+                run = error.kept
             run.rewards(plan.objective)
-            rest = plan.at_rest(scenario, p)
-            if plan.metrics is not None and plan.whole(rest, scenario):
-                metrics_of(plan.metrics, rest)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

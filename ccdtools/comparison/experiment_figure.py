@@ -74,8 +74,9 @@ def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baselin
     rows = np.arange(len(cells))
     for row, cell in zip(rows, cells):
         found = cell.evidence
-        if not cell.seeds:
-            ax.text(0.02, row, "not made", transform=ax.get_yaxis_transform(), va="center", fontsize="small")
+        if not np.isfinite(found.gain.mean):
+            why = cell.word if cell.seeds else "not made"
+            ax.text(0.02, row, why, transform=ax.get_yaxis_transform(), va="center", fontsize="small")
         mean, low, high = (100 * value / (found.size or np.nan) for value in (found.gain.mean, *found.gain.ci95))
         ax.plot([low, high], [row, row], color=colours[cell.names[0]], lw=1.5)
         ax.plot(mean, row, "o", color=colours[cell.names[0]], ms=4)
@@ -93,17 +94,16 @@ def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
     for one in experiment.records:
         for cell in one.cells:
             level = levels.get((one.design, cell.scenario, cell.plant), np.nan)
-            relative = np.where(
-                cell.lost, -np.inf, 100 * (cell.returns - level) / (abs(level + cell.design_cost) or np.nan)
-            )
-            found.setdefault(one.controller, []).append(relative)
+            relative = 100 * (cell.returns - level) / (abs(level + cell.design_cost) or np.nan)
+            found.setdefault(one.controller, []).append(np.where(cell.lost | np.isnan(relative), -np.inf, relative))
     every = np.concatenate([np.zeros(0), *(part for parts in found.values() for part in parts)])
     shown = every[np.isfinite(every)]
     low, high = np.quantile(shown if len(shown) else [0.0], [0.01, 0.99])
     for k, name in enumerate(dict.fromkeys(one.controller for one in experiment.records)):
         values = np.sort(np.concatenate(found.get(name, [np.zeros(0)])))
         above = 1 - np.arange(len(values)) / max(len(values), 1)
-        told = label(name if len(values) else f"{name}: not made")
+        made = any(one.made for one in experiment.records if one.controller == name)
+        told = label(name if np.isfinite(values).any() else f"{name}: {'no run ended' if made else 'not made'}")
         ax.step(
             values, above, color=colours[name], label=told, where="pre", ls=("--", "-.", ":")[k % 3 - 1] if k else "-"
         )

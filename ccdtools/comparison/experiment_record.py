@@ -5,19 +5,17 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from hashlib import sha256
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from uuid import uuid4
 
 import numpy as np
 
-from ccdtools.arrays import Array, Immutable, Mask
+from ccdtools.arrays import Array, Immutable, Indices, Mask
 from ccdtools.exceptions import InputError
 
 ARRAYS = ("returns", "lost", "fraction", "peak", "times", "series")
-WORDS = ("scenario", "plant", "exceeded", "single", "design_cost", "metrics")
+WORDS = ("scenario", "plant", "exceeded", "single", "design_cost", "metrics", "stopped", "idle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +24,8 @@ class Cell(Immutable):
 
     scenario: str
     plant: str
-    returns: Array  # (N,): of the runs
-    lost: Mask  # (N,)
+    returns: Array  # (N,): of the runs; NaN of one that stopped
+    lost: Mask  # (N,): diverged, or stopped
     fraction: Array  # (n,): part of the states outside the limits, of the runs or of the stretches of a single one
     peak: Array  # (n,): largest depth in half-widths
     exceeded: str  # the limit that is exceeded most
@@ -36,6 +34,13 @@ class Cell(Immutable):
     series: Array  # (T,): rewards of a single run with a disturbance; empty otherwise
     design_cost: float  # part of every return that the design costs
     metrics: Mapping[str, float]
+    stopped: str  # why there is no controller, or a run stopped
+    idle: bool  # whether all inputs were 0
+
+    @property
+    def undefined(self) -> Indices:
+        """Runs (k,) that were not lost, and whose return is no number."""
+        return np.flatnonzero(~self.lost & ~np.isfinite(self.returns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,24 +50,18 @@ class Record:
     controller: str
     design: str
     seed: int
-    cells: tuple[Cell, ...] = field(default=())  # without those in which the controller was refused
-    seconds: float = float("nan")  # that it took to be made
+    cells: tuple[Cell, ...]  # of every scenario and plant
+    seconds: float = float("nan")  # that it took to be made; NaN of one that could not
     steps: int = 0  # samples of the environment that it was trained on
-    refused: str = ""  # why there is no controller, or none in some scenario
     remark: str = ""  # what the controller says of itself
     about: str = ""  # the controller in words
     c_step_time: float = float("nan")  # median of its exported C [s], where it was asked for and exists
     c_step_time_99: float = float("nan")  # 99th percentile
 
-
-def digest(*parts: Any) -> str:
-    """Name made of the bytes of arrays and of the texts of all else."""
-    found = sha256()
-    for part in parts:
-        array = isinstance(part, np.ndarray)
-        found.update((repr(part.shape) if array else repr(part)).encode() + b"\0")
-        found.update(np.ascontiguousarray(part).tobytes() if array else b"")
-    return found.hexdigest()[:24]
+    @property
+    def made(self) -> bool:
+        """Whether there is a controller."""
+        return bool(np.isfinite(self.seconds))
 
 
 def write_record(file: Path, record: Record) -> None:

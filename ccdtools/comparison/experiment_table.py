@@ -67,7 +67,7 @@ class Experiment:
                 (*kind, *place), records, found[self.baseline, kind[1]], baseline=self.baseline,
                 fresh=place[0] in self.fresh,
             )
-            for place in places or [("", "")] for kind, records in found.items()
+            for place in places for kind, records in found.items()
         )  # fmt: skip
 
     @property
@@ -176,7 +176,7 @@ class Experiment:
         elif seeds < FEWEST_RUNS:
             lines.append(f"{seeds} seeds are too few for 95 % where returns are skewed: take {FEWEST_RUNS} or more.")
         if any(cell.evidence.lost != (0, 0) for cell in self):
-            lines.append("Returns are of the runs that did not diverge; a seed without a controller has lost all.")
+            lines.append("Lost runs diverged or stopped, and have no return; a seed without a controller has lost all.")
         return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))
 
     def __repr__(self) -> str:
@@ -196,7 +196,7 @@ class Experiment:
         own, in_c = (", ".join(number(1e6 * one, 3) for one in pair) for pair in (cell.step_time, cell.c_step_time))
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
         base = cell.names[0] == self.baseline
-        ends = ", ".join(number(100 * end, 2) for end in np.clip(cell.better.ci95, 0.0, 1.0))
+        ends = ", ".join(number(100 * end, 2) for end in cell.better.ci95)
         better = f"{share(cell.better.mean)} [{ends}]"
         against = ("", "") if base else (cell.evidence.percent, better)
         lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))

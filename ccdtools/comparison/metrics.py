@@ -159,4 +159,5 @@ def _part(run: Trajectory, runs: Any, steps: slice) -> Trajectory:
     return replace(
         run, states=run.states[runs, start : end + 1], inputs=run.inputs[runs, start:end],
         disturbances=run.disturbances[runs, start:end], diverged_at=run.diverged_at[runs],
+        outputs=None if run.outputs is None else run.outputs[runs, start:end],
     )  # fmt: skip

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import beta, t as student
 from scipy.stats.mstats import trimmed_mean, trimmed_mean_ci
 
 from ccdtools.arrays import Array
-from ccdtools.statistics import PairedDifference, interval_of_crossed, kept_means, summarise_returns
+from ccdtools.statistics import (
+    PairedDifference,
+    interval_of_crossed,
+    kept_means,
+    summarise_returns,
+    variance_of_crossed,
+)
 
 QUARTERS = (0.25, 0.25)
 
@@ -43,6 +50,39 @@ def mean_over_seeds(values: Array, *, fresh: bool, series: Array | None = None) 
         away.append(_away(found.mean, found.ci95))
     low, high = np.sqrt((np.array(away) ** 2).sum(axis=0)) if away else (np.nan, np.nan)
     return PairedDifference(mean, (mean - float(low), mean + float(high)))
+
+
+def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
+    """Mean of shares in [0, 1] (seeds, runs) with its 95 % interval, which is no point where all agree.
+
+    Clopper and Pearson's, of as many runs as a share of this variance would have if they were independent: no more than
+    there are, and no less than what surely is independent, seeds that draw runs of their own, or else the fewer of
+    seeds and runs. Runs of a single seed are as many as they are.
+
+    Parameters
+    ----------
+    values : (S, N) array
+        NaN marks what does not count.
+    fresh : bool
+        Whether each seed draws runs of its own.
+
+    References
+    ----------
+    Clopper and Pearson, Biometrika 26, 1934; Korn and Graubard, Survey Methodology 24, 1998 (the number of runs).
+    """
+    of_seeds = kept_means(values, axis=1)
+    if not len(of_seeds):
+        return PairedDifference(np.nan, (np.nan, np.nan))
+    mean, runs = float(of_seeds.mean()), int((~np.isnan(values)).sum())
+    table = of_seeds[:, None] if fresh and len(values) > 1 else values
+    least = min((size for size in (len(of_seeds), len(kept_means(table, axis=0))) if size > 1), default=1)
+    few = np.square(student.isf(0.025, runs - 1) / student.isf(0.025, least - 1))
+    variance = variance_of_crossed(table) * (least - 1) / least
+    with np.errstate(divide="ignore", invalid="ignore"):  # without variance nothing is known of it
+        counted = np.clip(np.nan_to_num(few * np.divide(mean * (1 - mean), variance), nan=least), least, runs)
+    won = mean * counted
+    low, high = beta.ppf(0.025, won, counted - won + 1), beta.ppf(0.975, won + 1, counted - won)
+    return PairedDifference(mean, (float(np.nan_to_num(low)), float(np.nan_to_num(high, nan=1.0))))
 
 
 def interquartile_mean(values: Array) -> PairedDifference:

@@ -93,6 +93,10 @@ class OnnxPolicy:
         self._input = inputs[0].name
         self._rows, self._nx = shape
 
+    def as_given(self) -> tuple[bytes]:
+        """What the file holds, wherever it lies."""
+        return (self._path.read_bytes(),)
+
     def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
         return OnnxPolicy, (self._path,)
 

@@ -89,9 +89,14 @@ class Measurement(Immutable):
 
     def first(self, runs: int, steps: int) -> Measurement:
         """Measurement with drawn noise cut to the first runs and steps."""
+        return self.part(slice(runs), steps)
+
+    def part(self, runs: slice, steps: int) -> Measurement:
+        """Measurement with drawn noise cut to some runs and the first steps."""
         if self.noise is None or self.random:
             return self
-        return replace(self, noise=self.noise[:runs, :steps])
+        own = runs if len(self.noise) > 1 else slice(None)  # one noise is that of all runs
+        return replace(self, noise=self.noise[own, :steps])
 
     def sensor(self, plant: Any, p: Array, runs: int, steps: int, rng: np.random.Generator | None) -> Sensor:
         """Sensor (k, x, u) → y of a closed loop.

@@ -217,6 +217,7 @@ def _begun(env: Any) -> Any:
         raise InputError("env", got, "an environment as it is", "Pass env.unwrapped, whose actions are the inputs.")
     try:
         env.reset(seed=0)
+        actions.seed(0)  # so that the same plant is the same in the next process, too
     except Exception as error:
         raise stopped("env", env.reset, error, "a reset") from error
     return env.unwrapped

@@ -143,6 +143,10 @@ class FmuStep:
     substeps: int
     references: tuple[tuple[int, ...], ...]
 
+    def as_given(self) -> tuple[Any, ...]:
+        """What the file holds and how it is stepped, wherever it lies."""
+        return self.path.read_bytes(), self.dt, self.substeps, self.references
+
     def __getstate__(self) -> dict[str, Any]:
         fields = ("path", "dt", "substeps", "references")
         return {name: self.__dict__[name] for name in fields}

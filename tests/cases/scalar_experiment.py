@@ -3,6 +3,7 @@
 import numpy as np
 
 from ccdtools import LinearFeedback, QuadraticObjective, Scenario, experiment, plant_from_matrices
+from ccdtools.plants import BlackBox
 
 A, R = 0.9, 0.5
 PLANT = plant_from_matrices([[A]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
@@ -16,6 +17,17 @@ LAWS = {
 
 def drawn(rng):
     return Scenario(PLANT, 2 * rng.standard_normal((7, 1)), rng.standard_normal((7, 15, 1)))
+
+
+def stopping(beyond):
+    """The plant as a simulator that stops beyond some |x|."""
+
+    def advance(x, u, w, p):
+        if np.abs(x[0]) > beyond:
+            raise OSError("the solver failed")
+        return A * x + u + w
+
+    return BlackBox(advance, nx=1, nu=1, nw=1, dt=1.0)
 
 
 def found(laws=LAWS, scenarios=drawn, **options):

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from scalar_experiment import GAIN, LAWS, OBJECTIVE, PLANT, by_hand, drawn, found
+from scipy.stats import binomtest
 
 from ccdtools import (
     CustomObjective,
@@ -414,3 +415,71 @@ def test_names_may_be_told_apart_by_their_order():
     laws = {"LQR": LAWS["LQR"], "B": LAWS["LQR"]}
     result = found(laws, {"LQR": drawn, "B": drawn}, seeds=1)
     assert result["B", "", "LQR"].names == ("B", "", "LQR", "")
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
+def test_a_return_that_is_no_number_leaves_no_verdict(value):
+    class Undefined(QuadraticObjective):
+        def rewards(self, x_next, u, x=None, p=None):
+            return np.where(x_next[..., 0] > 3.5, value, super().rewards(x_next, u, x, p))
+
+    start = Scenario(PLANT, np.linspace(0, 5, 9)[:, None], np.zeros((9, 20, 1)))
+    laws = {"LQR": LAWS["LQR"], "none": lambda p, rng: Passive(1)}
+    result = found(laws, {"far": start, "near": drawn}, objective=Undefined([[1.0]], [[1.0]]), seeds=2)
+    cell = result["none", "far"]
+    assert (cell.word, cell.evidence.lost) == ("open", (0, 0))
+    assert np.isnan([cell.value.mean, cell.evidence.gain.mean, cell.better.mean]).all()
+    assert f"seed 0: far: run 7 has the return {value}" in cell.remark
+    assert result["LQR", "far"].remark == ""
+    assert result.verdicts["none", ""].startswith(("open: n/a on far", "worse: "))
+
+
+def test_the_number_of_runs_is_that_of_the_scenario():
+    def never(design, rng):
+        raise InputError("gains", "none", "some")
+
+    result = found({"LQR": never, "PID": never}, Scenario(PLANT, np.ones((5, 1)), np.zeros((5, 4, 1))), seeds=3)
+    assert "3 seeds, 5 runs of each" in repr(result)
+    assert result["PID"].evidence.lost == (15, 15)
+
+
+def test_a_baseline_that_does_nothing_is_named():
+    start = Scenario(PLANT, np.ones((5, 1)), np.zeros((5, 4, 1)))
+    laws = {"LQR": LinearFeedback([[0.0]]), "B": LinearFeedback([[GAIN]])}
+    made = {name: lambda p, rng, law=law: law for name, law in laws.items()}
+    said = "LQR: does nothing on the scenario: all its inputs were 0"
+    assert said in repr(found(made, start, seeds=2))
+    assert said in repr(compare(laws, start, objective=OBJECTIVE, X=([-50], [50])))
+    assert "does nothing" not in repr(compare(laws, start, objective=OBJECTIVE, X=([-50], [50]), baseline="B"))
+    assert "does nothing" not in repr(found(made, start, seeds=2, baseline="B"))
+
+
+@pytest.mark.parametrize("seeds", [1, 3, 12])
+@pytest.mark.parametrize("fresh", [True, False])
+def test_a_share_of_all_runs_or_of_none_has_an_interval(seeds, fresh):
+    """There it is that of Clopper and Pearson: of the runs of one seed, of fresh seeds, or of the fewer of both."""
+    laws = {"LQR": LAWS["LQR"], "wild": lambda p, rng: lambda x: -9.0 * np.ones((len(x), 1))}
+    for (one, other), at in ((laws, 0), (reversed(laws), 1)):
+        start = drawn if fresh else drawn(np.random.default_rng(5))
+        better = found(laws, start, seeds=seeds, baseline=one)[other].better
+        n = 7 if seeds == 1 else seeds if fresh else min(seeds, 7)
+        assert better.mean == at
+        expected = binomtest(at * n, n).proportion_ci()
+        assert better.ci95 == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_a_share_of_the_runs_of_one_seed_has_the_exact_interval():
+    better = found({"LQR": LAWS["LQR"], "weak": lambda p, rng: LinearFeedback([[0.3]])}, seeds=1)["weak"].better
+    won = round(7 * better.mean)
+    expected = binomtest(won, 7).proportion_ci()
+    assert 0 < won < 7
+    assert better.ci95 == pytest.approx((expected.low, expected.high), abs=1e-9)
+
+
+def test_a_single_run_that_is_lost_leaves_a_row_in_both_tables():
+    drive = Scenario(plant_from_matrices([[2.0]], [[1.0]], [[1.0]], dt=1.0, continuous=False), [1.0], np.ones((60, 1)))
+    laws = {"LQR": LinearFeedback([[1.5]]), "none": Passive(1)}
+    given = {"objective": OBJECTIVE, "X": ([-5.0], [5.0])}
+    assert compare(laws, drive, **given)["none"].diverged == 1.0
+    made = {name: lambda p, rng, law=law: law for name, law in laws.items()}
+    assert experiment(made, drive, seeds=1, **given)["none"].word == "loses more runs"

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from scalar_experiment import GAIN, LAWS, OBJECTIVE, PLANT, drawn, found
+from scalar_experiment import GAIN, LAWS, OBJECTIVE, PLANT, drawn, found, stopping
 
 from ccdtools import InputError, LinearFeedback, QuadraticObjective, Scenario, compare, experiment, plant_from_matrices
 from ccdtools.controllers import Passive
@@ -24,6 +24,15 @@ def test_the_figure_says_what_was_not_made_and_hides_no_curve():
     shown = {line.get_label(): line.get_linestyle() for line in profile.lines}
     assert list(shown) == ["LQR", "learned", "same", "PID: not made"]
     assert shown["LQR"] == "-" != shown["same"]
+
+
+def test_the_figure_has_a_row_where_every_controller_stops():
+    dead = Scenario(stopping(3.0), [[1.0], [2.0]], [[0.0], [9.0], [0.0]])
+    gains, *_ = found(scenarios={"good": drawn, "dead": dead}, seeds=2).plot().axes
+    assert [text.get_text() for text in gains.get_yticklabels()] == ["learned, good", "learned, dead"]
+    assert [(text.get_text(), text.get_position()[1]) for text in gains.texts] == [("open", 1)]
+    only = found(scenarios=dead, seeds=2).plot().axes[1]
+    assert [" ".join(line.get_label().split()) for line in only.lines] == [f"{name}: no run ended" for name in LAWS]
 
 
 def apart(figure):

@@ -10,7 +10,7 @@ from pathlib import Path
 import joblib
 import numpy as np
 import pytest
-from scalar_experiment import GAIN, LAWS, PLANT, A, R, drawn, found
+from scalar_experiment import GAIN, LAWS, PLANT, A, R, by_hand, drawn, found, stopping
 
 from ccdtools import InputError, LinearFeedback, Measurement, QuadraticObjective, Scenario, plant_from_matrices
 from ccdtools.controllers import Passive
@@ -49,7 +49,70 @@ def test_a_simulator_that_dies_without_input_loses_no_controller_under_which_it_
         assert result["LQR"].metrics["end"] == pytest.approx(1.0)
         assert result["none"].evidence.lost == (4, 0)
         assert "OSError: licence lost" in result["none"].remark
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_scenario_in_which_every_controller_stops_stays(tmp_path):
+    dead = Scenario(stopping(3.0), [[1.0], [2.0]], [[0.0], [9.0], [0.0]])
+    laws = {"LQR": lambda p, rng: LinearFeedback([[0.1]]), "learned": LAWS["learned"]}
+    result = found(laws, {"good": drawn, "dead": dead}, seeds=12)
+    assert [cell.names[2] for cell in result] == ["good", "good", "dead", "dead"]
+    cell = result["learned", "dead"]
+    assert (cell.runs, cell.seeds, cell.evidence.lost, cell.evidence.runs) == (2, 12, (24, 24), 24)
+    assert result.verdicts == {("learned", ""): "open: n/a on dead, better on 1 of 2"}
+    assert {(row["scenario"], row["lost"]) for row in result.rows()} == {("good", False), ("dead", True)}
+    assert "12 seeds, 2 or 7 runs of each" in repr(result)
+    result.save(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    for shown in (repr(result), page):
+        assert "learned: seed 0: dead: advance: got a function that stops with OSError: the solver failed" in shown
+
+
+def test_runs_that_end_are_kept_beside_those_that_stop(tmp_path):
+    """Returns are those by hand, and a controller's inputs and sensors those of its own runs."""
+    rng = np.random.default_rng(4)
+    start = rng.uniform(-1, 1, (50, 1))
+    start[[7, 30, 31]] = 4.0
+    w, noise = 0.1 * rng.standard_normal((50, 15, 1)), 0.01 * rng.standard_normal((50, 15, 1))
+    of_output = type("OfOutput", (), {"needs": frozenset({"output"}), "__call__": lambda self, x, y: -0.3 * y})
+    laws = LAWS | {"sensed": lambda p, rng: of_output()}
+    seen = Measurement([[1.0]], noise=noise)
+    result, whole = (
+        found(laws, Scenario(plant, start, w, output=seen), seeds=2, metrics=lambda run: {"runs": len(run.states)})
+        for plant in (stopping(3.0), PLANT)
+    )
+    ended = np.setdiff1d(np.arange(50), [7, 30, 31])
+    for name in laws:
+        assert result[name].evidence.lost == (6, 6)
+        assert result[name].metrics["runs"] == 47
+        assert "(3 of 50 runs)" in result[name].remark
+        for one, other in zip(result.records, whole.records):
+            np.testing.assert_allclose(one.cells[0].returns[ended], other.cells[0].returns[ended], rtol=1e-12)
+            assert np.isnan(one.cells[0].returns[[7, 30, 31]]).all()
+    np.testing.assert_allclose(result["LQR"].value.mean, by_hand(GAIN, start[ended], w[ended]).mean(), rtol=1e-12)
+    assert result["learned"].word != "stopped"  # the baseline stops in these runs, too
+    assert result["learned"].better.mean == pytest.approx(whole["learned"].better.mean, abs=3 / 47)
+
+
+@pytest.mark.parametrize("bump", [0.0, 9.0])
+def test_what_was_trained_is_not_trained_again_where_one_run_or_all_stopped(tmp_path, bump):
+    calls = tmp_path / "calls"
+
+    def trained(design, rng):
+        with calls.open("a") as file:
+            file.write(".")
+        return LinearFeedback([[GAIN]])
+
+    dead = Scenario(stopping(3.0), [[1.0], [4.0]], [[bump], [0.0], [0.0]])
+    one, other = (found({"PPO": trained}, {"good": drawn, "dead": dead}, seeds=2, folder=tmp_path / "kept")
+                  for _ in range(2))  # fmt: skip
+    assert len(calls.read_text()) == 2
+    np.testing.assert_equal(one.rows(), other.rows())
+    assert repr(one).splitlines()[-1] == repr(other).splitlines()[-1]
+    for file in (tmp_path / "kept").glob("*.stopped.npz"):
+        file.unlink()
+    found({"PPO": trained}, {"good": drawn, "dead": dead}, seeds=2, folder=tmp_path / "kept")
+    assert len(calls.read_text()) == 4
 
 
 @pytest.mark.check
@@ -117,6 +180,54 @@ def test_a_changed_condition_is_another_task(tmp_path, change):
     found(folder=tmp_path, seeds=1, **base)
     found(folder=tmp_path, seeds=1, **base | change)
     assert len(list(tmp_path.iterdir())) == 4
+
+
+def latch(depth):
+    """A plant that grips within 0.02 of 0.51, which hardly any run meets."""
+
+    def advance(x, u, w, p):
+        return (A * x + u + w) * (1 - depth * (abs(x[0] - 0.51) < 0.01))
+
+    return BlackBox(advance, nx=1, nu=1, nw=1, dt=1.0)
+
+
+class Costly(QuadraticObjective):
+    """An objective of a user's own."""
+
+    dear = 1.0
+
+    def rewards(self, x_next, u, x=None, p=None):
+        return -self.dear * (x_next[..., 0] ** 2 + (x_next[..., 0] > 30))
+
+
+class Dearer(Costly):
+    """One that differs far outside alone."""
+
+    def rewards(self, x_next, u, x=None, p=None):
+        return -self.dear * (x_next[..., 0] ** 2 + (x_next[..., 0] > 31))
+
+
+@pytest.mark.parametrize(("one", "other"), [
+    ({"metrics": lambda run: {"effort": float(abs(run.inputs[0]).mean())}},
+     {"metrics": lambda run: {"effort": float(abs(run.inputs[0]).max())}}),
+    ({"plants": {"": latch(0.0)}}, {"plants": {"": latch(0.9)}}),
+    ({"objective": Costly([[1.0]], [[1.0]])}, {"objective": Dearer([[1.0]], [[1.0]])}),
+    ({"scenarios": Scenario(latch(0.0), [[1.0]], np.zeros((4, 1)))},
+     {"scenarios": Scenario(latch(0.9), [[1.0]], np.zeros((4, 1)))}),
+    ({"scenarios": Scenario(PLANT, [[1.0]], np.zeros((4, 1)), output=lambda x: x * (x < 77))},
+     {"scenarios": Scenario(PLANT, [[1.0]], np.zeros((4, 1)), output=lambda x: x * (x < 78))}),
+])  # fmt: skip
+def test_what_was_given_tells_tasks_apart_not_what_it_shows(tmp_path, one, other):
+    for given, files in ((one, 2), (one, 2), (other, 4), (one, 4)):
+        found(folder=tmp_path, seeds=1, **given)
+        assert len(list(tmp_path.iterdir())) == files
+
+
+def test_what_cannot_be_told_is_computed_anew(tmp_path):
+    held = memoryview(b"which has no content that can be copied")
+    for files in (2, 4):
+        found(folder=tmp_path, seeds=1, metrics=lambda run: {"bytes": len(held)})
+        assert len(list(tmp_path.iterdir())) == files
 
 
 def test_a_damaged_record_is_named(tmp_path):

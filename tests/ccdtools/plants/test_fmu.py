@@ -22,6 +22,7 @@ from ccdtools import (
     QuadraticObjective,
     Scenario,
     compare,
+    experiment,
     simulate,
 )
 from ccdtools.exceptions import SimulatorError
@@ -202,3 +203,15 @@ def test_files_that_are_no_such_fmu_are_refused(tmp_path):
         archive.writestr("binaries/win32/pendulum.dll", "of another platform")
     with pytest.raises(InputError, match=f"does not load.*a binary for {fmpy.platform}; it has win32"):
         from_fmu(without, dt=0.1)
+
+
+def test_an_experiment_knows_an_fmu_by_what_its_file_holds(path, tmp_path):
+    other = packed(tmp_path, (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8") + "\n")
+    moved = Path(shutil.copy(path, tmp_path / "moved.fmu"))
+    for file, records in ((path, 1), (moved, 1), (other, 2)):
+        scenario = Scenario(from_fmu(file, dt=0.05), np.array([[1.0, 0.0]]), np.zeros((1, 5, 0)))
+        experiment(
+            {"LQR": lambda p, rng: LinearFeedback(np.zeros((2, 2)))}, scenario, seeds=1, X=([-9, -9], [9, 9]),
+            objective=QuadraticObjective(np.eye(2), np.eye(2)), folder=tmp_path / "kept",
+        )  # fmt: skip
+        assert len(list((tmp_path / "kept").iterdir())) == records
