@@ -73,10 +73,10 @@ class GymnasiumEnvs:
             raise InputError("make", f"actions from {self._lower} to {self._upper}", "finite bounds of the actions")
         self._range = np.asarray(observations.low, float), np.asarray(observations.high, float)
         self._type = observations.dtype
-        tried = zip_longest(*(self._tried() for _ in range(2)), fillvalue="an end")
-        for k, (first, again) in enumerate(tried):
+        self._first = self._tried()
+        for k, (first, again) in enumerate(zip_longest(self._first, self._tried(), fillvalue="an end")):
             if first != again:
-                got = f"{first} and {again} as reward and observation {k} steps after two resets with seed {seed}"
+                got = f"{first} and {again} as reward and observation {k} steps after two resets with seed 0"
                 raise InputError("make", brief(got, 200), "the same numbers")
 
     def agent(self, *, config: NetworkConfig | None = None, seed: int = 0) -> ActorCritic:
@@ -115,10 +115,10 @@ class GymnasiumEnvs:
         """Environments where they stand, for `restore`."""
         try:
             if isinstance(self.envs[0], _Apart):
-                return pickle.dumps([(*env.spaces, env.call("kept", None)) for env in self.envs])
+                return pickle.dumps((self._first, [(*env.spaces, env.call("kept", None)) for env in self.envs]))
             for env in self.envs:
                 _check_kept(env)
-            return pickle.dumps(self.envs)
+            return pickle.dumps((self._first, self.envs))
         except (AttributeError, TypeError, pickle.PicklingError) as error:
             raise InputError("env", str(error), "environments that pickle can keep") from None
 
@@ -128,9 +128,9 @@ class GymnasiumEnvs:
         Raises
         ------
         InputError
-            If its environments are others, as far as their number and spaces tell.
+            If its environments are others, as far as their number, spaces and first steps tell.
         """
-        envs = pickle.loads(state)
+        first, envs = pickle.loads(state)
         apart, kept_apart = isinstance(self.envs[0], _Apart), isinstance(envs[0], tuple)
         own = [(env.observation_space, env.action_space) for env in self.envs]
         kept = [env[:2] if kept_apart else (env.observation_space, env.action_space) for env in envs]
@@ -138,6 +138,11 @@ class GymnasiumEnvs:
             places = ["here", "in processes of their own"]
             got = f"{len(kept)} environments of {kept[0]}, kept {places[kept_apart]}"
             raise InputError("state", got, f"{len(own)} of {own[0]}, kept {places[apart]}")
+        none: list[float] = []
+        for k, (before, now) in enumerate(zip_longest(first, self._first, fillvalue=none)):
+            if len(before) != len(now) or not np.allclose(before, now, rtol=1e-4, atol=1e-6):
+                got = f"environments with {before} as reward and observation {k} steps after a first reset"
+                raise InputError("state", brief(got, 200), f"{now}")
         if apart:
             for env, (*_, one) in zip(self.envs, envs):
                 env.call("kept", one)
@@ -147,7 +152,7 @@ class GymnasiumEnvs:
 
     def _tried(self) -> list[list[float]]:
         """Rewards and observations, 1 + n_obs numbers a step, of a few steps of the first environment."""
-        rows = [[0.0, *self._begun(0, seed=self.seed).tolist()]]
+        rows = [[0.0, *self._begun(0, seed=0).tolist()]]
         for share in np.linspace(0.25, 0.75, TRIED_STEPS):
             action = self._lower + share * (self._upper - self._lower)
             observation, reward, over, cut = self._stepped(0, action.astype(self._lower.dtype))

@@ -260,3 +260,14 @@ def test_a_checkpoint_of_other_environments_is_refused(tmp_path):
     trained(2, iterations=1)
     with pytest.raises(CheckpointError, match="2 environments"):
         trained(3, iterations=2)
+
+
+def test_a_checkpoint_does_not_go_on_with_another_plant(tmp_path):
+    def trained(gravity, iterations):
+        env = GymnasiumEnvs(lambda: gymnasium.make("Pendulum-v1", g=gravity), runs=2)
+        return train(env, env.agent(), iterations=iterations, steps=8, generator=generator(), checkpoint=tmp_path / "a")
+
+    trained(10.0, 1)
+    assert len(trained(10.0, 2).rows) == 2
+    with pytest.raises(CheckpointError, match="reward and observation 1 steps after a first reset"):
+        trained(3.0, 3)
