@@ -89,6 +89,11 @@ class History(Around):
                 raise InputError(words, f"shape {latest.shape}", f"({len(before)}, {before.shape[2]})")
             memory[name] = np.concatenate([latest[:, None], before[:, :-1]], axis=1)
         seen = np.concatenate([memory[name].reshape(len(outputs), -1) for name in ("y", "u")], axis=1)
+        expected = getattr(self.controller, "nx", seen.shape[1])
+        if seen.shape[1] != expected:
+            got = f"{outputs.shape[1]} outputs beside {inputs.shape[1]} inputs"
+            cure = "Pass the output=Measurement(…) that the policy was trained with."
+            raise InputError("y", got, f"{expected / self.length:g} together", cure)
         known = np.isfinite(seen).all(axis=1, keepdims=True)
         u = np.where(known, np.asarray(self.controller(np.where(known, seen, 0.0)), dtype=float), np.nan)
         return u[0] if np.ndim(y) < 2 else u

@@ -157,6 +157,11 @@ def of_outputs(size=1.5, n=M * (NY + NU)):
     return History(LearnedPolicy(agent, [0.5]), M)
 
 
+def test_a_history_of_other_outputs_names_them():
+    with pytest.raises(InputError, match="y: got 3 outputs beside 2 inputs, expected 4 together"):
+        of_outputs()(y=np.zeros(3), u_prev=np.zeros(2))
+
+
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.3], [0.0, 0.0, 0.7]])
 B = np.array([[0.0, 0.1], [0.3, 0.0], [0.2, 0.4]])
 
