@@ -33,7 +33,13 @@ def printed(rows: tuple[Row, ...], folder: Path | None, only: list[str]) -> None
         for number, command in enumerate(row.commands):
             print(f"\n$ python benchmarks/{command}", flush=True)
             if folder is not None:
-                print(_output(command, folder / f"{row.name.replace(' ', '_')}-{number}.txt"), flush=True)
+                print(_output(command, folder / f"{row.name.replace(' ', '_')}-{number}-{_commit()}.txt"), flush=True)
+
+
+def _commit() -> str:
+    """Commit at which the rows are measured, so that the output of another one does not stand for it."""
+    found = subprocess.run(["git", "rev-parse", "--short=8", "HEAD"], cwd=HERE, capture_output=True, text=True)
+    return found.stdout.strip() or "unknown"
 
 
 def _output(command: str, kept: Path) -> str:

@@ -111,7 +111,7 @@ def codesign(
     as_generator("rng", rng)
     as_flag("progress", progress)
     space = problem.design
-    if not space.free.any() and not hasattr(chosen, "following"):  # nothing that learns
+    if not space.free.any() and getattr(chosen, "designs_only", False):
         raise InputError(
             "method", shown(method), f"one of {', '.join(LEARNED)}, as the problem has nothing to design",
             "LQR, MPC and other controllers take it as it is: saturated_lqr(problem, design).",

@@ -252,7 +252,7 @@ class _Episodes:
         self.divergence = divergence_of(self.problem, divergence)
         self.fixed = None if design is None else problem.design.check_feasible(design)
         first = np.full(problem.design.dim, np.nan) if self.fixed is None else self.fixed
-        self.designs = np.tile(first, (runs, 1))
+        self.designs = np.array(np.tile(first, (runs, 1)))  # of an empty design it would be read-only
         self.over = np.ones(runs, bool)  # no episode goes on before the first reset
         self._k = np.zeros(runs, int)
         self._x = self._e = torch.zeros(runs, problem.model.nx)

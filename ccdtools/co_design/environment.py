@@ -124,15 +124,20 @@ class EpisodeEnv:
     def _stated(self) -> tuple[Any, ...]:
         """What tells problems apart in words."""
         problem = self.problem
-        limits = [np.array2string(np.asarray(one), precision=6) for one in (problem.state_scale, *problem.input_bounds)]
-        return problem.steps, repr(problem.model), repr(problem.objective), *limits
+        p = self._step.p.double().numpy()
+        ends = (*problem.state_limits(p).bounding_box(), *problem.input_limits(p).bounding_box())
+        limits = [np.array2string(one, precision=6) for one in ends]
+        return problem.steps, repr(problem.model), repr(problem.objective), *limits, self.history
 
     def _led_to(self, x0: Tensor, w: Tensor) -> Tensor:
-        """Scaled state and reward (nx + 1,) after a sample."""
+        """Scaled state, reward and output after a sample."""
         u = torch.tensor(self.problem.input_bounds[1], dtype=torch.float32)[None]
         with torch.no_grad():
             x, _, reward = self._step(x0[:1], torch.zeros_like(x0[:1]), u, w[:1, 0])
-        return torch.cat([x[0] / torch.tensor(self.problem.state_scale), reward])
+        parts = [x[0] / torch.tensor(self.problem.state_scale), reward]
+        if self.history:
+            parts.append(torch.tensor(self._output.of(x0[:1].double().numpy(), 0 * u.double().numpy()))[0])
+        return torch.cat(parts)
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`.
@@ -140,14 +145,15 @@ class EpisodeEnv:
         Raises
         ------
         InputError
-            If it is of another number of runs, at another design, of another divergence, or of a problem of other
-            steps, sizes, objective or limits, or whose plant does otherwise.
+            If it is of another number of runs, at another design, of another divergence or history, or of a problem of
+            other steps, sizes, objective or limits, or whose first sample ends or is measured elsewhere. Another
+            disturbance or noise is not told.
         """
         kept = len(state["tensors"]["_x"]), state["design"], state["divergence"], *state["problem"]
         own = self.runs, self._step.p.tolist(), self.divergence, *self._stated
         if kept != own:
-            words = "{} runs at the design {}, lost beyond {:g}, {} steps of {}, {}, |x| within {}, u from {} to {}"
-            got, expected = (words.format(*one) for one in (kept, own))
+            words = "{} runs at the design {}, lost beyond {:g}, {} steps of {}, {}, x {} to {}, u {} to {}, {} seen"
+            got, expected = (words.format(*one, *["?"] * (len(own) - len(one))) for one in (kept, own))
             raise InputError("state", got, expected)
         here = self._led_to(state["tensors"]["_x0"], state["tensors"]["_w"])
         if not torch.allclose(here, state["led_to"], rtol=1e-4, atol=1e-6, equal_nan=True):

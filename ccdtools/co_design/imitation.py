@@ -110,7 +110,8 @@ def policy_from_scratch(
     scenarios = scenario_tensors(problem, fewer_runs(4 * SETTLING_RUNS, problem.steps), copy.deepcopy(rng))
     v = torch.tensor(problem.design.to_unit(design), dtype=torch.float32)
     with torch.no_grad():
-        return max(agents, key=lambda agent: float(episode_at(problem, agent, v, scenarios).total.mean()))
+        worth = [problem.risk.values(episode_at(problem, agent, v, scenarios).total).mean() for agent in agents]
+    return agents[int(torch.stack(worth).nan_to_num(nan=-torch.inf).argmax())]
 
 
 def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, runs: int = 4) -> str | None:

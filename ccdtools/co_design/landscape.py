@@ -248,7 +248,7 @@ def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float)
     whole = landscape.problem.design.whole
     if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
         return False
-    if np.abs(higher - lower).max() <= 2 * COMPASS_LAST_STEP:
+    if np.abs(higher - lower).max(initial=0.0) <= 2 * COMPASS_LAST_STEP:
         return True
     shares = np.linspace(0, 1, 11)[1:-1, None]  # of the way
     between = landscape.returns(lower + shares * (higher - lower))

@@ -103,8 +103,7 @@ class _Walk:
             for name in names:
                 found = value.__globals__.get(name, sys.modules.get(name))
                 yield found
-                if isinstance(found, ModuleType) and not _installed(found.__name__):
-                    yield from (vars(found)[attribute] for attribute in names if attribute in vars(found))
+                yield from _within(found, names, set())
 
     def _of_object(self, value: Any) -> Iterator[Any]:
         """Parts of an object, as it is copied."""
@@ -117,6 +116,17 @@ class _Walk:
                 kind = type(value)
                 part = {k: v for k, v in part.items() if not isinstance(getattr(kind, str(k), None), cached_property)}
             yield list(part) if inspect.isgenerator(part) or hasattr(part, "__next__") else part
+
+
+def _within(module: Any, names: Iterable[str], seen: set[int]) -> Iterator[Any]:
+    """What has one of the names in a module of one's own, and in such modules within it."""
+    if not isinstance(module, ModuleType) or id(module) in seen or _installed(module.__name__):
+        return
+    seen.add(id(module))
+    for name in names:
+        if name in vars(module):
+            yield vars(module)[name]
+            yield from _within(vars(module)[name], names, seen)
 
 
 def _digest(*parts: str | bytes) -> bytes:

@@ -126,17 +126,22 @@ class Plan:
                 c_step_time_99=most,
             )
 
-    def _met(self, scenario: Scenario, controller: Any, p: Array) -> Runs:
-        """Runs of a controller; where one stops, its half of them is tried again, so that the others are kept."""
+    def _met(self, scenario: Scenario, controller: Any, p: Array, left: list[int] | None = None) -> Runs:
+        """Runs of a controller; where one stops, its half of them is tried again, so that the others are kept.
+
+        So it is while failures are `left`: four runs of all are found so.
+        """
         runs = len(scenario.x0)
+        left = [4 * runs.bit_length()] if left is None else left
         try:
             run = self.simulated(scenario, controller, p)
             return Runs(run, np.zeros(runs, dtype=bool), step_times(controller, run.states[0], scenario, p))
         except Exception as error:
-            if runs == 1:
+            left[0] -= 1
+            if runs == 1 or left[0] <= 0:
                 return stopped_runs(scenario, p, _reason(error))
         return joined(*(
-            self._met(scenario.part(half), controller, p) for half in (slice(runs // 2), slice(runs // 2, None))
+            self._met(scenario.part(half), controller, p, left) for half in (slice(runs // 2), slice(runs // 2, None))
         ))  # fmt: skip
 
     def _cell(self, names: Place, scenario: Scenario, runs: Runs, why: str) -> Cell:

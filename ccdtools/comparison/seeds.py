@@ -78,8 +78,8 @@ def share_over_seeds(values: Array, *, fresh: bool) -> PairedDifference:
     least = min((size for size in (len(of_seeds), len(kept_means(table, axis=0))) if size > 1), default=1)
     few = np.square(student.isf(0.025, runs - 1) / student.isf(0.025, least - 1))
     variance = variance_of_crossed(table) * (least - 1) / least
-    with np.errstate(divide="ignore", invalid="ignore"):  # without variance nothing is known of it
-        counted = np.clip(np.nan_to_num(few * np.divide(mean * (1 - mean), variance), nan=least), least, runs)
+    alike = few * mean * (1 - mean) / variance if variance > 0 else least  # without variance nothing is known of it
+    counted = np.clip(alike, least, runs)
     won = mean * counted
     low, high = beta.ppf(0.025, won, counted - won + 1), beta.ppf(0.975, won + 1, counted - won)
     return PairedDifference(mean, (float(np.nan_to_num(low)), float(np.nan_to_num(high, nan=1.0))))

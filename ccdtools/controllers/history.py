@@ -89,7 +89,7 @@ class History(Around):
                 raise InputError(words, f"shape {latest.shape}", f"({len(before)}, {before.shape[2]})")
             memory[name] = np.concatenate([latest[:, None], before[:, :-1]], axis=1)
         seen = np.concatenate([memory[name].reshape(len(outputs), -1) for name in ("y", "u")], axis=1)
-        expected: int = getattr(self.controller, "nx", seen.shape[1])
+        expected: Any = getattr(self.controller, "nx", seen.shape[1])
         if seen.shape[1] != expected:
             got = f"{outputs.shape[1]} outputs beside {inputs.shape[1]} inputs"
             cure = "Pass the output=Measurement(…) that the policy was trained with."

@@ -253,7 +253,6 @@ CALLS = {
     "R NaN": (lambda: cc.QuadraticObjective([[1]], [[np.nan]]), "R"),
     "a problem of a plant": (lambda: problem(model=plant()), "model"),
     "a problem of a StateSpace": (lambda: problem(model=LTI), "model"),
-    "a problem without a design": (lambda: problem(model=cc.LinearModel.from_state_space(LTI)), "model"),
     "X a list of three": (lambda: problem(X=[[-2, -2], [0, 0], [2, 2]]), "X"),
     "X of another dimension": (lambda: problem(X=INPUTS), "X"),
     "X unbounded": (lambda: problem(X=Polytope(np.eye(2), [1, 1])), "X"),

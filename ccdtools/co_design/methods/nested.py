@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from types import NoneType
+from typing import ClassVar
 
 import numpy as np
 
@@ -91,6 +92,8 @@ class Nested:
         own loop visits (see `stochastic_linearisation`; slopes by differences). "auto": the secant where it is better
         in closed loop at the design that the tangent finds; the result's `notes` hold both returns.
     """
+
+    designs_only: ClassVar[bool] = True  # what controls follows from the design
 
     inner: str = "lqr"
     runs: int | None = None

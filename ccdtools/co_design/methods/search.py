@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from tqdm import tqdm
@@ -54,6 +54,8 @@ class Search:
     runs : int, optional
         Scenarios of 100 steps: by default 256 of LQR, 32 of MPC.
     """
+
+    designs_only: ClassVar[bool] = True  # what controls follows from the design
 
     library: str = "cma"
     of: str | Callable[[Array], float] = "lqr"

@@ -9,6 +9,7 @@ Fathy, Reyer, Papalambros and Ulsoy, "On the coupling between the plant and cont
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -42,6 +43,8 @@ class Sequential:
     starts, evaluations : int
         Of the search for the plant.
     """
+
+    designs_only: ClassVar[bool] = True  # what controls follows from the design
 
     criterion: str = "auto"
     control: str = "lqr"

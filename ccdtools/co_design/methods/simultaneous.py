@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -55,6 +56,8 @@ class Simultaneous:
     iterations : int
         Of Ipopt, at most, from each start.
     """
+
+    designs_only: ClassVar[bool] = True  # what controls follows from the design
 
     unknowns: str = "trajectory"
     control: str = "lqr"

@@ -23,7 +23,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )
-from ccdtools.co_design import EpisodeEnv
+from ccdtools.co_design import DesignVectorEnv, EpisodeEnv
 from ccdtools.plants import LinearModel
 from invariant_sets import Polytope
 
@@ -111,6 +111,7 @@ def test_a_plant_without_a_design_is_a_task_of_control_alone(fixed):
     law = saturated_lqr(problem, space.lower)
     env = EpisodeEnv(problem, space.lower, runs=4, rng=np.random.default_rng(0))
     assert env.reset().shape == (4, 2 + len(space.lower))
+    assert DesignVectorEnv(problem, 3, space.lower).reset(seed=0)[0].shape == (3, 2)
     learned, regulator = (
         closed_loop_returns(problem, one, space.lower, rng=np.random.default_rng(1), runs=50).values.mean()
         for one in (found.controller, law)
