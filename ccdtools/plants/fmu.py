@@ -27,6 +27,7 @@ from ccdtools.plants.budgets import EVENT_ROUNDS
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools_ground.door import as_count, as_instance, as_positive, nearest, shown
 from ccdtools_ground.own_process import OwnProcess
+from ccdtools_ground.user_functions import in_words
 
 
 class Words(NamedTuple):
@@ -231,9 +232,10 @@ class FmuStep:
                 second = derivatives(x + h / 2 * first)
                 third = derivatives(x + h / 2 * second)
                 x = x + h / 6 * (first + 2 * second + 2 * third + derivatives(x + h * third))
-        except Exception:
+        except Exception as error:
             self._loaded[1]["p"] = None  # what has stopped begins anew
-            raise
+            got = f"an FMU that stops with {in_words(error)[0]} at x = {shown(state)}, u = {shown(u)}"
+            raise InputError("path", got, "one that answers at every state on the way") from error
         return x
 
     def _set(self, model: Any, references: tuple[int, ...], values: Array) -> None:
