@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -195,7 +196,34 @@ def from_gymnasium(
     write(inner, x.copy())
     if not np.array_equal(x, back := _read(read, inner)):
         raise InputError("write", f"a state {shown(back)} where {shown(x)} was written", "the same state, (nx,)")
+    _tell_idle(box, x, env.action_space)
     return box
+
+
+def _tell_idle(box: BlackBox, x: Array, actions: Any) -> None:
+    """Warn of free design entries that change nothing on the way from a state, long enough for a chain of nx states."""
+    space = box.design
+    inputs = np.array([actions.sample() for _ in range(box.nx + 1)], dtype=float)
+
+    def run(k: int, bound: Array) -> Array:
+        """States with one entry at a bound and the others in the middle."""
+        p, states = space.centre.copy(), [x]
+        p[k] = bound[k]
+        for u in inputs:
+            states.append(box.step(states[-1], u, np.zeros(0), space.project(p)))
+        return np.stack(states)
+
+    def acts(k: int) -> bool:
+        """Whether an entry changes a state, as far as the environment answers."""
+        try:
+            return not np.array_equal(run(k, space.lower), run(k, space.upper))
+        except CCDError:
+            return True
+
+    for k in np.flatnonzero(space.free).tolist():
+        if not acts(k):
+            said = f"{space.names[k]} changes no state in {len(inputs)} steps: does the environment read what it sets?"
+            warnings.warn(f"build: {said}", UserWarning, stacklevel=3)
 
 
 CURES = {

@@ -347,9 +347,50 @@ def test_a_function_of_the_environment_that_stops_is_named_with_its_line(name):
         pendulum(**given)
 
 
+@pytest.mark.parametrize("step_limit", [None, 60.0])
+def test_a_design_that_the_environment_does_not_heed_is_told(step_limit):
+    gymnasium = pytest.importorskip("gymnasium")
+    box = DesignSpace(["m", "l"], lower=[0.5, 0.5], upper=[2.0, 2.0])
+
+    def build(env, p):
+        env.mass, env.l = p  # its mass is m
+
+    with pytest.warns(UserWarning, match="build: m changes no state in 3 steps"):
+        from_gymnasium(gymnasium.make("Pendulum-v1"), design=box, build=build, step_limit=step_limit)
+
+
+def test_a_design_that_acts_late_or_stops_the_environment_is_not_called_idle():
+    gymnasium = pytest.importorskip("gymnasium")
+
+    class Chain(gymnasium.Env):
+        dt, gain, state = 0.1, 1.0, np.zeros(3)
+        observation_space = gymnasium.spaces.Box(-9, 9, (3,))
+        action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float64)
+
+        def reset(self, *, seed=None, options=None):
+            self.state = np.zeros(3)
+            return self.state, {}
+
+        def step(self, action):
+            if self.gain == 9.0:
+                raise ValueError("too stiff")
+            a, b, c = self.state
+            self.state = np.array([self.gain * a + b, b + c, c + action[0]])
+            return self.state, 0.0, False, False, {}
+
+    for upper in (2.0, 9.0):
+        box = DesignSpace(["gain"], [0.5], [upper])
+        from_gymnasium(Chain(), design=box, build=lambda env, p: setattr(env, "gain", p[0]))
+
+
 def test_an_environment_is_tried_at_a_design_that_exists():
     asked = []
-    pendulum(design=DesignSpace(["m"], [1], [2], integer=["m"]), build=lambda env, p: asked.append(float(p[0])))
+
+    def build(env, p):
+        env.m = float(p[0])
+        asked.append(env.m)
+
+    pendulum(design=DesignSpace(["m"], [1], [2], integer=["m"]), build=build)
     assert set(asked) <= {1.0, 2.0}
 
 
