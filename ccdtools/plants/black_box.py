@@ -201,7 +201,10 @@ def from_gymnasium(
 
 
 def _tell_idle(box: BlackBox, x: Array, actions: Any) -> None:
-    """Warn of free design entries that change nothing on the way from a state, long enough for a chain of nx states."""
+    """Warn of free design entries that change nothing.
+
+    The way from a state is long enough for a chain of nx states.
+    """
     space = box.design
     inputs = np.array([actions.sample() for _ in range(box.nx + 1)], dtype=float)
 
