@@ -97,7 +97,7 @@ def policy_from_scratch(
 ) -> ActorCritic:  # fmt: skip
     """Best agent that PPO trains with its defaults at a design (np,).
 
-    Of `tries` trainings by `updates` of `steps` of each of `runs`; at a wall one of twelve did not find what the others
+    Of `tries` trainings by `updates` of `steps` of each of `runs`; at a wall one of fifteen did not find what others
     did.
     """
     at("policy that PPO learns from scratch")

@@ -22,9 +22,9 @@ from ccdtools.comparison.content import content_of
 from ccdtools.comparison.experiment_header import conditions_in_words, described
 from ccdtools.comparison.experiment_record import Cell, Record, read_record, write_record
 from ccdtools.comparison.experiment_table import Experiment
-from ccdtools.comparison.finished_runs import Runs, joined, stopped_runs
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
+from ccdtools.comparison.stopped_runs import Runs, joined, stopped_runs
 from ccdtools.controllers.controllers import Passive
 from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
