@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from itertools import zip_longest
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -21,6 +20,7 @@ from learning.networks import ActorCritic, NetworkConfig
 from learning.tolerances import WIDEST
 
 Array = np.ndarray
+Answer = TypeVar("Answer")
 
 
 class GymnasiumEnvs:
@@ -57,11 +57,8 @@ class GymnasiumEnvs:
         self.taken = 0
         self.envs: list[Any] = []
         for i in range(runs):
-            if step_limit is None:
-                self.envs.append(_made(make))
-            else:
-                with self._named(i):
-                    self.envs.append(_Apart(make, step_limit))
+            apart = None if step_limit is None else self._answer(i, lambda: _Apart(make, step_limit))
+            self.envs.append(apart or _made(make))
         if len({id(env.unwrapped) for env in self.envs}) < runs:
             raise InputError("make", "one environment again and again", "a new one at every call")
         spaces = [(_box(env, "observation_space"), _box(env, "action_space")) for env in self.envs]
@@ -92,24 +89,24 @@ class GymnasiumEnvs:
     def reset(self) -> Tensor:
         """Fresh observations (runs, n_obs), from the seeds."""
         self.taken = 0
-        return torch.stack([self._begun(i, seed=self.seed + i) for i in range(len(self.envs))])
+        return torch.from_numpy(np.stack([self._begun(i, seed=self.seed + i) for i in range(len(self.envs))]))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `VectorEnv`."""
         if actions.shape != (len(self.envs), len(self._lower)):
             raise InputError("actions", f"shape {tuple(actions.shape)}", f"({len(self.envs)}, {len(self._lower)})")
         following, successors, rewards, terminated, truncated = [], [], [], [], []
-        for i, action in enumerate(actions.double().numpy()):
-            rounded = action.astype(self._lower.dtype)  # can be beyond a bound
-            successor, reward, over, cut = self._stepped(i, np.clip(rounded, self._lower, self._upper))
+        rounded = actions.double().numpy().astype(self._lower.dtype)  # can be beyond a bound
+        for i, action in enumerate(np.clip(rounded, self._lower, self._upper)):
+            successor, reward, over, cut = self._stepped(i, action)
             successors.append(successor)
             following.append(self._begun(i) if over or cut else successor)
             rewards.append(reward)
             terminated.append(over)
             truncated.append(cut and not over)
         self.taken += 1
-        flags = torch.tensor(terminated), torch.tensor(truncated)
-        return torch.stack(following), torch.stack(successors), torch.tensor(rewards, dtype=torch.float32), *flags
+        seen = torch.from_numpy(np.stack(following)), torch.from_numpy(np.stack(successors))
+        return *seen, torch.tensor(rewards, dtype=torch.float32), torch.tensor(terminated), torch.tensor(truncated)
 
     def state(self) -> bytes:
         """Environments where they stand, for `restore`."""
@@ -161,28 +158,25 @@ class GymnasiumEnvs:
                 break
         return rows
 
-    def _begun(self, i: int, **seed: int) -> Tensor:
+    def _begun(self, i: int, **seed: int) -> Array:
         """First observation of an environment."""
-        with self._named(i):
-            return self._seen(self.envs[i].reset(**seed)[0])
+        return self._answer(i, lambda: self._seen(self.envs[i].reset(**seed)[0]))
 
-    @contextmanager
-    def _named(self, i: int) -> Iterator[None]:
-        """What stops within is an error that names environment and step."""
+    def _stepped(self, i: int, action: Array) -> tuple[Array, float, bool, bool]:
+        """Observation, reward, terminated and truncated of a step."""
+        return self._answer(i, lambda: self._read(self.envs[i].step(action)))
+
+    def _answer(self, i: int, call: Callable[[], Answer]) -> Answer:
+        """Result of a call; what stops in it is an error that names environment and step."""
         try:
-            yield
+            return call()
         except Exception as error:
             own = error if isinstance(error, InputError) else InputError("env", in_words(error)[0], "an answer")
             named = SimulatorError("env", f"{own.got} from environment {i}", own.expected, own.cure)
             named.step = self.taken
             raise named from error
 
-    def _stepped(self, i: int, action: Array) -> tuple[Tensor, float, bool, bool]:
-        """Observation, reward, terminated and truncated of a step."""
-        with self._named(i):
-            return self._read(self.envs[i].step(action))
-
-    def _read(self, result: Any) -> tuple[Tensor, float, bool, bool]:
+    def _read(self, result: Any) -> tuple[Array, float, bool, bool]:
         """Observation, reward, terminated and truncated, as Gymnasium states them."""
         if not isinstance(result, tuple) or len(result) != 5:
             raise InputError("env", f"{brief(repr(result))} of a step", "what Gymnasium states: five values")
@@ -194,14 +188,14 @@ class GymnasiumEnvs:
             bool(cut),
         )
 
-    def _seen(self, observation: Any) -> Tensor:
-        """Observation (n_obs,) as a tensor, if it is of the kind that the space states."""
+    def _seen(self, observation: Any) -> Array:
+        """Observation (n_obs,), if it is of the kind that the space states."""
         row = np.array(observation)
         n = len(self._range[0])
         if row.shape != (n,) or row.dtype != self._type or not np.isfinite(row).all():
             got = f"an observation of shape {row.shape}, {row.dtype}, {row}"
             raise InputError("env", got, f"finite ones of shape ({n},), {self._type}, as its space states")
-        return torch.from_numpy(row.astype(np.float32))
+        return row.astype(np.float32)
 
 
 class _Apart:

@@ -11,6 +11,7 @@ arXiv:1602.07714, 2016, for the running unit of values.
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -24,6 +25,7 @@ from learning.exceptions import InputError
 from learning.networks import ActorCritic
 from learning.rollout import Rollout
 from learning.tolerances import LEAST_SPREAD, SCALE_MEMORY
+from learning.vector_adam import VectorAdam
 
 
 @dataclass(frozen=True, repr=False)
@@ -217,14 +219,9 @@ def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
         gamma=config.gamma, lam=config.lam,
     )  # fmt: skip
     advantages = ((raw - raw.mean()) / (raw.std(correction=0) + 1e-8)).clamp(-5.0, 5.0)
-    return Batch(
-        rollout.observations.flatten(0, 1),
-        rollout.latents.flatten(0, 1),
-        rollout.log_probs.flatten(),
-        advantages.flatten(),
-        (raw + values).flatten(),
-        values.flatten(),
-    )
+    seen, latents = rollout.observations.flatten(0, 1), rollout.latents.flatten(0, 1)
+    rows = (rollout.log_probs, advantages, raw + values, values)
+    return Batch(seen, latents, *(row.flatten() for row in rows))
 
 
 @dataclass(frozen=True)
@@ -280,28 +277,24 @@ class PPO:
         self.given = given
         self.agent = check_instance(agent, "agent", ActorCritic)
         self.config = check_instance(config, "config", PPOConfig)
-        self.actor_optimiser = torch.optim.Adam(agent.actor_parameters(), lr=config.learning_rate, fused=True)
-        self.critic_optimiser = torch.optim.Adam(agent.value_network.parameters(), lr=config.value_rate, fused=True)
+        self._actor = VectorAdam(agent.actor_parameters(), config.learning_rate)
+        self._critic = VectorAdam(list(agent.value_network.parameters()), config.value_rate)
         self._rescaled = 0
 
     def set_rates(self, share: float) -> None:
         """Step at this share of the configured rates."""
-        config = self.config
-        rates = (self.actor_optimiser, config.learning_rate), (self.critic_optimiser, config.value_rate)
-        for optimiser, rate in rates:
-            for group in optimiser.param_groups:
-                group["lr"] = rate * share
+        for part, rate in ((self._actor, self.config.learning_rate), (self._critic, self.config.value_rate)):
+            part.adam.param_groups[0]["lr"] = rate * share
 
     def state(self) -> dict[str, Any]:
         """Optimisers and counts, for `restore`."""
-        optimisers = self.actor_optimiser.state_dict(), self.critic_optimiser.state_dict()
+        optimisers = self._actor.adam.state_dict(), self._critic.adam.state_dict()
         return {"optimisers": copy.deepcopy(optimisers), "rescaled": self._rescaled}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
-        actor, critic = state["optimisers"]
-        self.actor_optimiser.load_state_dict(actor)
-        self.critic_optimiser.load_state_dict(critic)
+        for part, optimiser in zip((self._actor, self._critic), state["optimisers"]):
+            part.adam.load_state_dict(optimiser)
         self._rescaled = state["rescaled"]
 
     def update(self, rollout: Rollout, *, generator: torch.Generator, actor: bool = True) -> UpdateStatistics:
@@ -315,13 +308,15 @@ class PPO:
         residual = (batch.targets - batch.values).var(correction=0).item()
         if config.running_scales:
             self._rescale_values(batch.targets)
+        self._actor.gather()
+        self._critic.gather()
         rows: list[tuple[float, ...]] = []
         passes = 0
         for _ in range(config.passes):
             rows = []
             order = torch.randperm(len(batch.targets), generator=generator).to(batch.targets.device)
-            for i in order.split(config.minibatch):
-                losses = ppo_losses(agent, _part(batch, i), config)
+            for part in _parts(batch, order, config.minibatch):
+                losses = ppo_losses(agent, part, config)
                 norm = self._step(losses, actor=actor and losses.kl < 1.5 * config.kl_limit)
                 rows.append((losses.kl, losses.clip_fraction, losses.entropy.item(), norm))
             passes += 1
@@ -347,19 +342,13 @@ class PPO:
         loss = losses.value
         if actor:
             loss = loss + losses.surrogate - self.config.entropy_coefficient * losses.entropy
-        self.actor_optimiser.zero_grad()
-        self.critic_optimiser.zero_grad()
-        loss.backward()
-        limit = self.config.max_gradient
-        nn.utils.clip_grad_norm_(self.agent.value_network.parameters(), limit)
-        self.critic_optimiser.step()
-        if not actor:
-            return float("nan")
-        norm = nn.utils.clip_grad_norm_(self.agent.actor_parameters(), limit)
-        self.actor_optimiser.step()
-        return float(norm)
+        critic = self._critic.parameters
+        gradients = torch.autograd.grad(loss, critic + self._actor.parameters if actor else critic)
+        self._critic.step(gradients[: len(critic)], self.config.max_gradient)
+        return self._actor.step(gradients[len(critic) :], self.config.max_gradient) if actor else float("nan")
 
 
-def _part(batch: Batch, i: Tensor) -> Batch:
-    """Samples i of a batch."""
-    return Batch(*(getattr(batch, name)[i] for name in Batch.__dataclass_fields__))
+def _parts(batch: Batch, order: Tensor, size: int) -> Iterator[Batch]:
+    """Parts of a batch in some order."""
+    columns = (getattr(batch, name)[order].split(size) for name in Batch.__dataclass_fields__)
+    return (Batch(*part) for part in zip(*columns))

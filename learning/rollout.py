@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -63,7 +64,7 @@ class Collector:
         Return, discounted return, length, termination and last step of the episodes that have ended, in that order.
     steps : int
         Steps of each environment so far.
-    ages : (n,) tensor of int
+    ages : (n,) array of int
         Steps of the episodes that have not ended.
     """
 
@@ -78,8 +79,8 @@ class Collector:
         first = env.reset()
         n = len(first) if isinstance(first, Tensor) and first.ndim > 0 else 1
         self._observation = self._taken("observations", first, n, len(agent.observation_offset))
-        self._sums = torch.zeros(len(self._observation), 2, dtype=torch.float64)  # undiscounted, and discounted
-        self.ages = torch.zeros(len(self._observation), dtype=torch.int64)
+        self._sums = np.zeros((len(self._observation), 2))  # undiscounted, and discounted
+        self.ages = np.zeros(len(self._observation), dtype=int)
         self.steps = 0
 
     @torch.no_grad()
@@ -97,15 +98,16 @@ class Collector:
         columns: list[tuple[Tensor, ...]] = []
         for _ in range(steps):
             observation = self._observation.to(device)
-            distribution = agent.distribution(observation)
-            noise = torch.randn(distribution.mean.shape, generator=self.generator).to(device)
-            latent = distribution.mean + distribution.stddev * noise
-            log_prob = distribution.log_prob(latent).sum(-1)
+            policy = agent.distribution(observation)
+            noise = torch.randn(policy.mean.shape, generator=self.generator).to(device)
+            latent = policy.mean + policy.stddev * noise
             actions = agent.action(latent, observation).to(self._observation.device)
-            successor, *experience = self._step(actions)
-            columns.append((observation, successor.to(device), latent, log_prob, *(c.to(device) for c in experience)))
-            self._count(*(column.cpu() for column in experience))
-        rollout = Rollout(*(torch.stack(column) for column in zip(*columns)))
+            columns.append((observation, latent, policy.mean, policy.stddev, *self._step(actions)))
+        seen, latents, mean, std, *experience = (torch.stack(column).to(device) for column in zip(*columns))
+        log_probs = torch.distributions.Normal(mean, std, validate_args=False).log_prob(latents).sum(-1)
+        successors, *counted = experience
+        self._count(*(column.cpu().numpy() for column in counted))
+        rollout = Rollout(seen, successors, latents, log_probs, *counted)
         led_to = rollout.successors.masked_fill(rollout.terminated[..., None], 0.0)  # no value is asked of an end
         checked = {"observations": rollout.observations, "successors": led_to, "rewards": rollout.rewards}
         for name, column in checked.items():
@@ -145,7 +147,7 @@ class Collector:
             expected = "methods state() and restore(state), without which no training can go on exactly"
             raise InputError("env", repr(self.env)[:60], expected)
         own = {"observation": self._observation, "ended": [*self.ended], "steps": self.steps}
-        own |= {name: getattr(self, name).clone() for name in ("_sums", "ages")}
+        own |= {"sums": self._sums.copy(), "ages": self.ages.copy()}
         return {**own, "env": self.env.state(), "generator": self.generator.get_state()}  # type: ignore[attr-defined]
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -153,18 +155,19 @@ class Collector:
         self.env.restore(state["env"])  # type: ignore[attr-defined]
         self._observation = state["observation"].to(self._observation.device)
         self.ended, self.steps = [*state["ended"]], state["steps"]
-        for name in ("_sums", "ages"):
-            setattr(self, name, state[name].clone())
+        self._sums, self.ages = state["sums"].copy(), state["ages"].copy()
         self.generator.set_state(state["generator"])
 
-    def _count(self, reward: Tensor, terminated: Tensor, truncated: Tensor) -> None:
-        """Add a step to the episodes."""
-        self._sums += torch.stack([reward, reward * self.gamma**self.ages], dim=1)
-        self.ages += 1
-        self.steps += 1
-        for i in (terminated | truncated).nonzero()[:, 0].tolist():
-            self.ended.append((*self._sums[i].tolist(), int(self.ages[i]), bool(terminated[i]), self.steps))
-            self._sums[i], self.ages[i] = 0.0, 0
+    def _count(self, rewards: np.ndarray, terminated: np.ndarray, truncated: np.ndarray) -> None:
+        """Add steps (T, n) to the episodes."""
+        over = terminated | truncated
+        for t, reward in enumerate(rewards.astype(float)):
+            self._sums += np.stack([reward, reward * self.gamma**self.ages], axis=1)
+            self.ages += 1
+            self.steps += 1
+            for i in over[t].nonzero()[0]:
+                self.ended.append((*self._sums[i].tolist(), int(self.ages[i]), bool(terminated[t, i]), self.steps))
+                self._sums[i], self.ages[i] = 0.0, 0
 
 
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:

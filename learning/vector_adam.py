@@ -1,0 +1,30 @@
+"""Adam on many small parameters at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+class VectorAdam:
+    """Parameters as parts of one vector, which Adam moves at once."""
+
+    def __init__(self, parameters: list[nn.Parameter], rate: float) -> None:
+        self.parameters = parameters
+        self.vector = nn.utils.parameters_to_vector(parameters).detach()
+        self.adam = torch.optim.Adam([self.vector], lr=rate, fused=True)
+
+    @torch.no_grad()
+    def gather(self) -> None:
+        """Take the parameters as they are, which may have been set or moved."""
+        self.vector.copy_(nn.utils.parameters_to_vector(self.parameters))
+        nn.utils.vector_to_parameters(self.vector, self.parameters)
+
+    def step(self, gradients: Sequence[Tensor], limit: float) -> float:
+        """Norm of the gradient, after a step by what is left of it within a limit."""
+        self.vector.grad = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        norm = nn.utils.clip_grad_norm_(self.vector, limit)
+        self.adam.step()
+        return float(norm)
