@@ -18,7 +18,6 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.c_step_time import NONE, c_step_time
 from ccdtools.comparison.comparison import step_times
-from ccdtools.comparison.content import content_of
 from ccdtools.comparison.experiment_header import conditions_in_words, described
 from ccdtools.comparison.experiment_record import Cell, Record, read_record, write_record
 from ccdtools.comparison.experiment_table import Experiment
@@ -35,6 +34,7 @@ from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.scenario import Scenario
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.content import content_of
 from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_mapping, as_vector, shown, writable_path
 from ccdtools_ground.user_functions import stopped
 from invariant_sets.system_checks import as_set
