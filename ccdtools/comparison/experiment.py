@@ -410,13 +410,12 @@ def _check(plan: Plan, seed: int) -> None:
     """Raise an `InputError` unless designs, limits and objective fit the plants."""
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
+            first = scenario.first(1)
             try:
-                run = plan.simulated(scenario.first(1), Passive(scenario.plant.nu), p)
+                run = plan.simulated(first, Passive(scenario.plant.nu), p)
                 if plan.metrics is not None:
                     metrics_of(plan.metrics, run)
             except SimulatorError as error:  # each controller is told of it
-                if not isinstance(error.kept, Trajectory):
-                    continue
-                run = error.kept
+                run = error.kept if isinstance(error.kept, Trajectory) else stopped_runs(first, p, "").run
             run.rewards(plan.objective)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

@@ -49,8 +49,8 @@ class BlackBox(Immutable):
         If a size is none, or `advance` stops with an error or returns another shape. A state that is not finite is a
         run that diverged.
     SimulatorError
-        If it does so after the first step of a simulation, or a call takes longer than `step_limit` or ends its
-        process. What was simulated before is `kept` in it.
+        If it does so in a simulation, or a call takes longer than `step_limit` or ends its process. What was simulated
+        before is `kept` in it.
         `Search(of=function)` leaves such a design out.
 
     Examples
