@@ -145,7 +145,7 @@ REFUSED = {
     "whole numbers as actions": (changed(action_space=box(0, 5, (1,), np.int64)), "of float"),
     "rewards by chance late in an episode": (
         changed(step=stepping(lambda o, r, *rest: (o, float(next(DRAWS)[0]), *rest), after=350)),
-        "150 steps after two",
+        "151 steps after two",
     ),
     "observations by chance": (changed(reset=lambda env: by_chance(env.reset)), "the same numbers"),
 }
