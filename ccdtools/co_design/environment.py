@@ -42,7 +42,8 @@ class EpisodeEnv:
     rng : numpy.random.Generator
         Draws fresh scenarios at each reset.
     output : Measurement or what it takes, optional
-        What is measured, with its noise; by default the measurement of the problem.
+        What is measured, with its noise; by default the measurement of the problem. Recorded noise needs a sample for
+        each step: the observation after the last one, to which nobody acts, has the first again.
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state,
         where the problem states no measurement.
@@ -109,8 +110,8 @@ class EpisodeEnv:
         self._e = torch.zeros_like(self._x0)
         self._k = 0
         if self._measurement is not None:
-            noise = self._measurement.drawn(self.runs, self.problem.steps + 1, self._rng).noise
-            self._v = torch.zeros(1, self.problem.steps + 1, 1) if noise is None else torch.tensor(noise).float()
+            noise = self._measurement.drawn(self.runs, self.problem.steps, self._rng).noise
+            self._v = torch.zeros(1, self.problem.steps, 1) if noise is None else torch.tensor(noise).float()
         return self._begun(self._x0)
 
     def state(self) -> dict[str, Any]:
@@ -177,7 +178,8 @@ class EpisodeEnv:
         """Observations of states (runs, nx) after inputs (runs, nu), which a history takes in."""
         if not self.history:
             return observe(x[:, self.problem.hidden :], self._step.p)
-        y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float() + self._v[:, self._k]
+        y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float()
+        y = y + self._v[:, self._k % self.problem.steps]
         latest = torch.cat([y, u], dim=1)[:, None]
         before = latest.new_zeros(self.runs, self.history, latest.shape[2]) if self._past is None else self._past
         self._past = torch.cat([latest, before[:, :-1]], dim=1)

@@ -64,7 +64,7 @@ def test_a_policy_of_measured_outputs_returns_what_it_does_in_a_closed_loop(susp
     problem = suspension.problem()
     design = problem.design.centre
     x0, w = problem.scenarios.sample(3, problem.steps, np.random.default_rng(4))
-    drawn = None if noise is None else 0.01 * np.random.default_rng(5).standard_normal((3, problem.steps + 1, 2))
+    drawn = None if noise is None else 0.01 * np.random.default_rng(5).standard_normal((3, problem.steps, 2))
     sensor = Measurement(np.eye(4)[::2], noise=drawn)
     env = EpisodeEnv(problem, design, runs=3, rng=np.random.default_rng(4), output=sensor, history=5)
     law = LearnedPolicy(env.agent(seed=2), design)
