@@ -138,7 +138,8 @@ def from_gymnasium(
     Parameters
     ----------
     env : gymnasium.Env
-        With a box of actions (nu,); its time limit and its rewards are not looked at. It must be deterministic.
+        With a box of actions (nu,), in which the U of a problem lies; its time limit and its rewards are not looked
+        at. It must be deterministic.
     read : function of the unwrapped environment → x (nx,), optional
         State at which it stands; by default its `state`.
     write : function of the unwrapped environment and x (nx,), optional
@@ -211,6 +212,11 @@ class _EnvironmentStep:
         except Exception as error:
             raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
         return _read(self.read, inner)
+
+    @property
+    def actions(self) -> Any:
+        """Box of the inputs that the environment takes."""
+        return self.env.action_space
 
     def as_given(self) -> tuple[Any, ...]:
         """Environment as it was given, wherever it stands."""
