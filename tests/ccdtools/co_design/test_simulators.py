@@ -254,7 +254,7 @@ def test_a_length_is_designed_in_an_environment_of_gymnasium():
     assert cost_of_a_length(found.design[0]) == pytest.approx(best.fun, rel=1e-3)
 
 
-@pytest.mark.parametrize("step_limit", [None, 60.0])
+@pytest.mark.parametrize("step_limit", [None, pytest.param(60.0, marks=pytest.mark.check)])
 def test_inputs_that_an_environment_does_not_take_are_refused(step_limit):
     gymnasium = pytest.importorskip("gymnasium")
     given = {"X": ([-1, -8], [1, 8]), "scenarios": FixedStart([0.05, 0.0]), "steps": 5,
