@@ -75,7 +75,7 @@ def simulate(
         On wrong shapes, a missing design, reference or generator, a policy for another design, a preview longer than
         the record, or a controller that returns the wrong shape or NaN.
     SimulatorError
-        If the plant stops in mid-run; what was simulated before is `kept` in it.
+        If the plant stops in a step; what was simulated before is `kept` in it.
     """
     plant = as_simulable(plant)
     p = _design(plant, design)
@@ -124,8 +124,6 @@ def _run(
         try:
             x_next = _after(step, x, u, w[:, k])
         except InputError as error:
-            if not (k or isinstance(error, SimulatorError)):  # of a function that never worked
-                raise
             died = SimulatorError(error.argument, error.got, error.expected, error.cure)
             died.step, died.kept = k, logged(k) if k else None
             raise died from error

@@ -67,7 +67,7 @@ class NotConvexError(InputError):
 
 
 class SimulatorError(InputError):
-    """A simulator or environment hangs or dies in mid-run.
+    """A simulator or environment stops, hangs or dies in a run.
 
     Attributes
     ----------

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
-from itertools import zip_longest
+import time
+from collections.abc import Callable, Iterator
+from itertools import takewhile
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,7 +15,7 @@ from torch import Tensor
 from ccdtools_ground.door import as_count, as_number, as_positive, brief
 from ccdtools_ground.own_process import OwnProcess
 from ccdtools_ground.user_functions import in_words
-from learning.budgets import TRIED_STEPS
+from learning.budgets import TRIAL_TIME, TRIED_STEPS
 from learning.exceptions import InputError, SimulatorError
 from learning.networks import ActorCritic, NetworkConfig
 from learning.tolerances import WIDEST
@@ -25,6 +26,9 @@ Answer = TypeVar("Answer")
 
 class GymnasiumEnvs:
     """Environments of Gymnasium that step together in this process.
+
+    To see that it does the same after the same seed, an episode of the first one is taken twice, or as much of it as
+    takes a second.
 
     Parameters
     ----------
@@ -70,11 +74,13 @@ class GymnasiumEnvs:
             raise InputError("make", f"actions from {self._lower} to {self._upper}", "finite bounds of the actions")
         self._range = np.asarray(observations.low, float), np.asarray(observations.high, float)
         self._type = observations.dtype
-        self._first = self._tried()
-        for k, (first, again) in enumerate(zip_longest(self._first, self._tried(), fillvalue="an end")):
+        end = time.monotonic() + TRIAL_TIME
+        tried = [*takewhile(lambda row: self.taken <= TRIED_STEPS or time.monotonic() < end, self._trial())]
+        self._first = tried[: TRIED_STEPS + 1]
+        for k, (first, again) in enumerate(zip(tried, self._trial())):
             if first != again:
-                got = f"{first} and {again} as reward and observation {k} steps after two resets with seed 0"
-                raise InputError("make", brief(got, 200), "the same numbers")
+                got = f"reward and observation {k} steps after two resets with seed 0: {first or 'an end'} and "
+                raise InputError("make", brief(f"{got}{again or 'an end'}", 200), "the same numbers")
 
     def agent(self, *, config: NetworkConfig | None = None, seed: int = 0) -> ActorCritic:
         """Untrained agent for these observations and actions.
@@ -135,8 +141,7 @@ class GymnasiumEnvs:
             places = ["here", "in processes of their own"]
             got = f"{len(kept)} environments of {kept[0]}, kept {places[kept_apart]}"
             raise InputError("state", got, f"{len(own)} of {own[0]}, kept {places[apart]}")
-        none: list[float] = []
-        for k, (before, now) in enumerate(zip_longest(first, self._first, fillvalue=none)):
+        for k, (before, now) in enumerate(zip(first, self._first)):
             if len(before) != len(now) or not np.allclose(before, now, rtol=1e-4, atol=1e-6):
                 got = f"environments with {before} as reward and observation {k} steps after a first reset"
                 raise InputError("state", brief(got, 200), f"{now}")
@@ -147,16 +152,18 @@ class GymnasiumEnvs:
             self.envs = envs
         self.taken = 0
 
-    def _tried(self) -> list[list[float]]:
-        """Rewards and observations, 1 + n_obs numbers a step, of a few steps of the first environment."""
-        rows = [[0.0, *self._begun(0, seed=0).tolist()]]
-        for share in np.linspace(0.25, 0.75, TRIED_STEPS):
-            action = self._lower + share * (self._upper - self._lower)
-            observation, reward, over, cut = self._stepped(0, action.astype(self._lower.dtype))
-            rows.append([reward, *observation.tolist()])
-            if over or cut:
-                break
-        return rows
+    def _trial(self) -> Iterator[list[float]]:
+        """Reward and observation, 1 + n_obs numbers, of every step of an episode; none of its end."""
+        self.taken = 0
+        rng = np.random.default_rng(0)
+        yield [0.0, *self._begun(0, seed=0).tolist()]
+        over = cut = False
+        while not (over or cut):
+            action = rng.uniform(self._lower, self._upper).astype(self._lower.dtype)
+            observation, reward, over, cut = self._stepped(0, action)
+            self.taken += 1
+            yield [reward, *observation.tolist()]
+        yield []
 
     def _begun(self, i: int, **seed: int) -> Array:
         """First observation of an environment."""

@@ -262,7 +262,7 @@ class _Episodes:
         if self._measurement is not None:
             at = problem.design.centre if self.fixed is None else self.fixed
             extent = output_extent(problem, self._measurement.at(problem.model.nx, problem.model.nu, at))
-            self._noise = np.zeros((runs, problem.steps + 1, len(extent)))
+            self._noise = np.zeros((runs, problem.steps, len(extent)))
             self._y = np.zeros((runs, history, len(extent)))  # the latest first
             self._u = np.zeros((runs, history, problem.model.nu))
             lower, upper = problem.input_bounds
@@ -291,8 +291,8 @@ class _Episodes:
             x[row], e[row] = x0[case], 0.0
             self._k[row], self.over[row] = 0, False
             if self._measurement is not None:
-                noise = self._measurement.drawn(1, self.problem.steps + 1, rng).noise
-                self._noise[row] = 0.0 if noise is None else noise[0, : self.problem.steps + 1]
+                noise = self._measurement.drawn(1, self.problem.steps, rng).noise
+                self._noise[row] = 0.0 if noise is None else noise[0, : self.problem.steps]
                 self._y[row] = self._u[row] = 0.0
         self._x, self._e = x, e
         self._measure(np.array([row for row, _, _ in begun]), np.zeros((len(begun), self.problem.model.nu)))
@@ -342,7 +342,7 @@ class _Episodes:
             at = (self.designs[rows] == p).all(axis=1)
             with np.errstate(all="ignore"):  # of a run that is lost
                 y = self._measurement.at(model.nx, model.nu, p).of(x[rows[at]], u[at])
-            y = y + self._noise[rows[at], np.minimum(self._k[rows[at]], self.problem.steps)]
+            y = y + self._noise[rows[at], self._k[rows[at]] % self.problem.steps]
             for past, latest in ((self._y, y), (self._u, u[at])):
                 past[rows[at]] = np.concatenate([latest[:, None], past[rows[at], :-1]], axis=1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from ccdtools.design_limits import DesignLimits
 from ccdtools.estimation.measurement import Measurement, as_measurement
 from ccdtools.estimation.outputs import Output
 from ccdtools.exceptions import InputError
+from ccdtools_ground.content import content_of
 from ccdtools_ground.door import as_count, as_generator, as_instance, as_positive
 from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
@@ -40,7 +42,8 @@ class EpisodeEnv:
     rng : numpy.random.Generator
         Draws fresh scenarios at each reset.
     output : Measurement or what it takes, optional
-        What is measured, with its noise; by default the measurement of the problem.
+        What is measured, with its noise; by default the measurement of the problem. Recorded noise needs a sample for
+        each step: the observation after the last one, to which nobody acts, has the first again.
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state,
         where the problem states no measurement.
@@ -107,37 +110,15 @@ class EpisodeEnv:
         self._e = torch.zeros_like(self._x0)
         self._k = 0
         if self._measurement is not None:
-            noise = self._measurement.drawn(self.runs, self.problem.steps + 1, self._rng).noise
-            self._v = torch.zeros(1, self.problem.steps + 1, 1) if noise is None else torch.tensor(noise).float()
+            noise = self._measurement.drawn(self.runs, self.problem.steps, self._rng).noise
+            self._v = torch.zeros(1, self.problem.steps, 1) if noise is None else torch.tensor(noise).float()
         return self._begun(self._x0)
 
     def state(self) -> dict[str, Any]:
         """Episodes where they stand, for `restore`."""
         kept = ("_x0", "_w", "_x", "_e", *(("_v", "_past") if self.history else ()))
         tensors = {name: getattr(self, name) for name in kept}
-        p = self._step.p.tolist()
-        own = {"k": self._k, "rng": self._rng.bit_generator.state, "design": p, "divergence": self.divergence}
-        own["problem"] = self._stated
-        return {"tensors": tensors, "led_to": self._led_to(self._x0, self._w), **own}
-
-    @property
-    def _stated(self) -> tuple[Any, ...]:
-        """What tells problems apart in words."""
-        problem = self.problem
-        p = self._step.p.double().numpy()
-        ends = (*problem.state_limits(p).bounding_box(), *problem.input_limits(p).bounding_box())
-        limits = [np.array2string(one, precision=6) for one in ends]
-        return problem.steps, repr(problem.model), repr(problem.objective), *limits, self.history
-
-    def _led_to(self, x0: Tensor, w: Tensor) -> Tensor:
-        """Scaled state, reward and output after a sample."""
-        u = torch.tensor(self.problem.input_bounds[1], dtype=torch.float32)[None]
-        with torch.no_grad():
-            x, _, reward = self._step(x0[:1], torch.zeros_like(x0[:1]), u, w[:1, 0])
-        parts = [x[0] / torch.tensor(self.problem.state_scale), reward]
-        if self.history:
-            parts.append(torch.tensor(self._output.of(x0[:1].double().numpy(), 0 * u.double().numpy()))[0])
-        return torch.cat(parts)
+        return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state, "told": self._told()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`.
@@ -145,26 +126,25 @@ class EpisodeEnv:
         Raises
         ------
         InputError
-            If it is of another number of runs, at another design, of another divergence or history, or of a problem of
-            other steps, sizes, objective or limits, or whose first sample ends or is measured elsewhere. Another
-            disturbance or noise is not told.
+            If it is of another number of runs, at another design, of another divergence or history, or of a problem or
+            sensors of other content.
         """
-        kept = len(state["tensors"]["_x"]), state["design"], state["divergence"], *state["problem"]
-        own = self.runs, self._step.p.tolist(), self.divergence, *self._stated
-        if kept != own:
-            words = "{} runs at the design {}, lost beyond {:g}, {} steps of {}, {}, x {} to {}, u {} to {}, {} seen"
-            got, expected = (words.format(*one, *["?"] * (len(own) - len(one))) for one in (kept, own))
-            raise InputError("state", got, expected)
-        here = self._led_to(state["tensors"]["_x0"], state["tensors"]["_w"])
-        if not torch.allclose(here, state["led_to"], rtol=1e-4, atol=1e-6, equal_nan=True):
-            got, expected = (", ".join(f"{v:.5g}" for v in one.tolist()) for one in (state["led_to"], here))
-            raise InputError(
-                "state", f"a plant whose first sample ends at {got} (state in units of X, reward)", expected
-            )
+        if state["told"] != self._told():
+            words = "{} runs at the design {}, lost beyond {:g}, {} seen, of the content {}: {}"
+            raise InputError("state", words.format(*state["told"]), words.format(*self._told()))
         for name, tensor in state["tensors"].items():
             setattr(self, name, tensor)
         self._k = state["k"]
         self._rng.bit_generator.state = state["rng"]
+
+    def _told(self) -> tuple[Any, ...]:
+        """What tells environments apart."""
+        return self.runs, self._step.p.tolist(), self.divergence, self.history, self._content, repr(self.problem)
+
+    @cached_property
+    def _content(self) -> str:
+        """Digest of problem and sensors."""
+        return content_of((self.problem, self._measurement))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
@@ -198,7 +178,8 @@ class EpisodeEnv:
         """Observations of states (runs, nx) after inputs (runs, nu), which a history takes in."""
         if not self.history:
             return observe(x[:, self.problem.hidden :], self._step.p)
-        y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float() + self._v[:, self._k]
+        y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float()
+        y = y + self._v[:, self._k % self.problem.steps]
         latest = torch.cat([y, u], dim=1)[:, None]
         before = latest.new_zeros(self.runs, self.history, latest.shape[2]) if self._past is None else self._past
         self._past = torch.cat([latest, before[:, :-1]], dim=1)

@@ -19,6 +19,7 @@ from learning.networks import ActorCritic
 ROWS = (
     ("finite differences", "finite_difference"), ("pathwise", "pathwise"), ("network input (paper)", "network_input"),
 )  # fmt: skip
+EARNED = {"design": "by moving the design under the first policy", "policy": "by learning"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,7 +164,7 @@ class LearnedCoDesign(CoDesignResult):
         layer; None where nothing was settled, or the policy does not follow them.
     gains : dict
         What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
-        one found, "policy" the gain of the policy found over the first one there.
+        one found, where it may move, "policy" the gain of the policy found over the first one there.
     convergence : Convergence or None
     memory : callable, optional
         What stands around a policy of measured outputs, a `History` or `Observed`; None where it sees the state.
@@ -199,9 +200,8 @@ class LearnedCoDesign(CoDesignResult):
         ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
         lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
         if self.gains:
-            moved, learned = (self.gains[part] for part in ("design", "policy"))
-            by_policy = f"{learned:+.4g} by learning at the design found"
-            lines.append(f"gain on the model: {moved:+.4g} by moving the design under the first policy, {by_policy}")
+            parts = (f"{gain:+.4g} {EARNED[part]}" for part, gain in self.gains.items())
+            lines.append(f"gain on the model: {', '.join(parts)}")
         return lines + self._of_loop()
 
     def _remarks(self) -> list[str]:

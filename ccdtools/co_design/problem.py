@@ -137,11 +137,11 @@ class CoDesignProblem(Immutable):
     Raises
     ------
     InputError
-        If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is
-        not in X or not in U, at some design if they depend on it, U is not a box, starts lie outside X at every design
-        or break a limit of an output that no input and no design mends, or the box of designs is too narrow. If nothing
-        that is chosen changes the objective, or an entry of the design that is not fixed changes nothing, or nothing
-        but how a disturbance of zero enters.
+        If the dimensions disagree (those of one sample of `scenarios` included), X or U is empty or unbounded, 0 is not
+        in X or not in U, at some design if they depend on it, U is not a box or wider than the actions of an
+        environment, starts lie outside X at every design or break a limit of an output that no input and no design
+        mends, or the box of designs is too narrow. If nothing that is chosen changes the objective, or an entry of the
+        design that is not fixed changes nothing, or nothing but how a disturbance of zero enters.
     """
 
     model: Any  # once the problem is made a Model, or a SimulatedModel
@@ -170,6 +170,7 @@ class CoDesignProblem(Immutable):
             raise InputError("U", "a set that is not a box", "independent bounds on each input")
         if not U.contains(np.zeros(model.nu)):
             raise InputError("U", "a set without the origin", "one that holds the input 0, which keeps the state at 0")
+        _check_taken(model, *self.input_bounds)
         sizes = (model.nx, model.nu, model.design.dim)
         as_objective("objective", self.objective).check(*sizes)
         if not self.objective.judges(*sizes):
@@ -445,6 +446,14 @@ def _check_widths(design: DesignSpace) -> None:
             f"a box of designs at least {NARROWEST:g} times as wide as its bounds are large",
             "Let the parameter be the deviation from its lower bound.",
         )  # fmt: skip
+
+
+def _check_taken(model: Any, lower: Array, upper: Array) -> None:
+    """Raise an `InputError` if inputs (nu,) are none that an environment takes."""
+    taken = getattr(getattr(getattr(model, "box", model), "advance", None), "actions", None)
+    if taken is not None and not all(taken.contains(end.astype(taken.dtype)) for end in (lower, upper)):
+        expected = f"bounds within {taken.low} and {taken.high}, the actions of the environment"
+        raise InputError("U", f"inputs from {lower} to {upper}", expected)
 
 
 def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:

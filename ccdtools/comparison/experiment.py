@@ -18,7 +18,6 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.c_step_time import NONE, c_step_time
 from ccdtools.comparison.comparison import step_times
-from ccdtools.comparison.content import content_of
 from ccdtools.comparison.experiment_header import conditions_in_words, described
 from ccdtools.comparison.experiment_record import Cell, Record, read_record, write_record
 from ccdtools.comparison.experiment_table import Experiment
@@ -35,6 +34,7 @@ from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.scenario import Scenario
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.content import content_of
 from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_mapping, as_vector, shown, writable_path
 from ccdtools_ground.user_functions import stopped
 from invariant_sets.system_checks import as_set
@@ -410,13 +410,12 @@ def _check(plan: Plan, seed: int) -> None:
     """Raise an `InputError` unless designs, limits and objective fit the plants."""
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
+            first = scenario.first(1)
             try:
-                run = plan.simulated(scenario.first(1), Passive(scenario.plant.nu), p)
+                run = plan.simulated(first, Passive(scenario.plant.nu), p)
                 if plan.metrics is not None:
                     metrics_of(plan.metrics, run)
             except SimulatorError as error:  # each controller is told of it
-                if not isinstance(error.kept, Trajectory):
-                    continue
-                run = error.kept
+                run = error.kept if isinstance(error.kept, Trajectory) else stopped_runs(first, p, "").run
             run.rewards(plan.objective)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

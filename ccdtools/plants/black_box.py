@@ -49,8 +49,8 @@ class BlackBox(Immutable):
         If a size is none, or `advance` stops with an error or returns another shape. A state that is not finite is a
         run that diverged.
     SimulatorError
-        If it does so after the first step of a simulation, or a call takes longer than `step_limit` or ends its
-        process. What was simulated before is `kept` in it.
+        If it does so in a simulation, or a call takes longer than `step_limit` or ends its process. What was simulated
+        before is `kept` in it.
         `Search(of=function)` leaves such a design out.
 
     Examples
@@ -138,7 +138,8 @@ def from_gymnasium(
     Parameters
     ----------
     env : gymnasium.Env
-        With a box of actions (nu,); its time limit and its rewards are not looked at. It must be deterministic.
+        With a box of actions (nu,), in which the U of a problem lies; its time limit and its rewards are not looked
+        at. It must be deterministic.
     read : function of the unwrapped environment → x (nx,), optional
         State at which it stands; by default its `state`.
     write : function of the unwrapped environment and x (nx,), optional
@@ -176,17 +177,7 @@ def from_gymnasium(
         raise InputError("build", "none", "a function (env, p) that gives the environment a design")
     dt = as_positive("dt", getattr(inner, "dt", 1.0) if dt is None else dt, unit="s")
 
-    def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
-        """State after a step of the environment."""
-        if build is not None:
-            build(inner, p)
-        write(inner, x)
-        try:
-            inner.step(u.astype(env.action_space.dtype))
-        except Exception as error:
-            raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
-        return _read(read, inner)
-
+    advance = _EnvironmentStep(env, read, write, build, design)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
     box = BlackBox(advance, nx=len(x), nu=len(u), dt=dt, design=design, step_limit=step_limit)
     first, again = (box.step(x, u, np.zeros(0), design.project(design.centre)) for _ in range(2))
@@ -198,6 +189,41 @@ def from_gymnasium(
         raise InputError("write", f"a state {shown(back)} where {shown(x)} was written", "the same state, (nx,)")
     _tell_idle(box, x, env.action_space)
     return box
+
+
+@dataclass(frozen=True, eq=False)
+class _EnvironmentStep:
+    """Step of an environment from any state, which is known by what it holds after a reset."""
+
+    env: Any
+    read: Callable[[Any], ArrayLike]
+    write: Callable[[Any, Array], None]
+    build: Callable[[Any, Array], None] | None
+    design: DesignSpace
+
+    def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """State after a step of the environment."""
+        inner = self.env.unwrapped
+        if self.build is not None:
+            self.build(inner, p)
+        self.write(inner, x)
+        try:
+            inner.step(u.astype(self.env.action_space.dtype))
+        except Exception as error:
+            raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
+        return _read(self.read, inner)
+
+    @property
+    def actions(self) -> Any:
+        """Box of the inputs that the environment takes."""
+        return self.env.action_space
+
+    def as_given(self) -> tuple[Any, ...]:
+        """Environment as it was given, wherever it stands."""
+        inner = _begun(self.env)
+        if self.build is not None:
+            self.build(inner, self.design.project(self.design.centre))
+        return inner, self.read, self.write, self.build
 
 
 def _tell_idle(box: BlackBox, x: Array, actions: Any) -> None:

@@ -1,6 +1,7 @@
 """Environments of Gymnasium: their experience as they give it, training with defaults, and what is refused."""
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -128,7 +129,7 @@ class Sized:
 
 
 ENDS = iter([False, False, False, True, False, True])
-DRAWS = iter(np.random.default_rng(0).random((99, 3), np.float32))
+DRAWS = iter(np.random.default_rng(0).random((9999, 3), np.float32))
 SAME = gymnasium.make("Pendulum-v1")
 SIZES = iter((3, 3, 5, 5))
 box = gymnasium.spaces.Box
@@ -140,8 +141,12 @@ REFUSED = {
     "one environment again and again": (lambda: SAME, "a new one at every call"),
     "several spaces": (lambda: Sized(next(SIZES)), "the same spaces at every call"),
     "rewards by chance": (changed(step=lambda env: rewarded_by_chance(env.step)), "the same numbers"),
-    "episodes that end by chance": (changed(step=stepping_to(lambda: next(ENDS))), "and an end as reward"),
+    "episodes that end by chance": (changed(step=stepping_to(lambda: next(ENDS))), "and an end, expected"),
     "whole numbers as actions": (changed(action_space=box(0, 5, (1,), np.int64)), "of float"),
+    "rewards by chance late in an episode": (
+        changed(step=stepping(lambda o, r, *rest: (o, float(next(DRAWS)[0]), *rest), after=350)),
+        "151 steps after two",
+    ),
     "observations by chance": (changed(reset=lambda env: by_chance(env.reset)), "the same numbers"),
 }
 
@@ -152,6 +157,27 @@ def test_what_no_policy_can_be_trained_in_is_refused(name):
     with pytest.raises(InputError, match=message) as caught:
         GymnasiumEnvs(make)
     assert caught.value.argument == "make"
+
+
+@pytest.mark.check
+def test_an_episode_without_an_end_is_tried_for_a_second_or_two():
+    class Endless(Sized):
+        taken = 0
+
+        def step(self, action):
+            self.taken += 1
+            self.seen[:] = self.taken % 2
+            return self.seen, 1.0, False, False, {}
+
+        def reset(self, *, seed=None):
+            self.taken -= self.taken % 2  # what went before does not matter
+            self.seen[:] = 0.0
+            return self.seen, {}
+
+    start = time.monotonic()
+    env = GymnasiumEnvs(lambda: Endless(3), runs=1)
+    assert time.monotonic() - start < 10
+    assert env.envs[0].taken > 100
 
 
 FAILING = {
@@ -167,16 +193,16 @@ FAILING = {
 @pytest.mark.parametrize("name", FAILING)
 def test_an_environment_that_breaks_its_word_is_named(name):
     change, message = FAILING[name]
-    env = GymnasiumEnvs(changed(step=stepping(change, after=30)))
+    env = GymnasiumEnvs(changed(step=stepping(change, after=410)))
     with pytest.raises(SimulatorError, match=message) as caught:
         Collector(env, env.agent(), generator=generator()).rollout(40)
     assert caught.value.argument == "env"
     assert "from environment 0" in caught.value.got
-    assert caught.value.step == 10  # of the first environment twenty more were tried before
+    assert caught.value.step == 10  # two episodes of the first environment were tried before
 
 
 def test_a_reward_beyond_single_precision_is_refused():
-    env = GymnasiumEnvs(changed(step=stepping(lambda o, r, *rest: (o, 1e39, *rest), after=30)))
+    env = GymnasiumEnvs(changed(step=stepping(lambda o, r, *rest: (o, 1e39, *rest), after=410)))
     with pytest.raises(InputError, match=r"env: got the rewards .* at step 10 of a rollout, .* single precision"):
         Collector(env, env.agent(), generator=generator()).rollout(40)
 
@@ -203,7 +229,7 @@ def test_an_environment_that_dies_in_a_training_is_named_with_its_step():
                                             ("os._exit(3)", "ends its process by code 3")])  # fmt: skip
 def test_an_environment_that_hangs_or_takes_its_process_with_it_is_named(tmp_path, end, fault):
     def ending(env):
-        step, taken = env.step, iter(range(30))
+        step, taken = env.step, iter(range(410))
 
         def stepped(action):
             if next(taken, None) is None:

@@ -277,7 +277,8 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
         task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()
         for v in (first, winner.best.v)
     )
-    return {"design": moved - before, "policy": winner.best.score - moved}
+    by_design = {"design": moved - before} if task.designing else {}
+    return by_design | {"policy": winner.best.score - moved}
 
 
 def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:

@@ -97,6 +97,9 @@ def test_the_agent_passed_in_is_not_changed(problem, illustrative, clone):
 
 def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative, clone):
     found = run(problem, clone(illustrative), design=[1.7], design_rate=0.0)
+    told = next(line for line in found.describe() if line.startswith("gain on the model: "))
+    assert told.endswith(" by learning")
+    assert "moving" not in told
     np.testing.assert_allclose(found.design, [1.7], rtol=1e-6)
     np.testing.assert_allclose(found.history.design, 1.7, rtol=1e-6)
     assert found.gradients is None
@@ -117,6 +120,7 @@ def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative,
 @pytest.mark.check
 def test_active_bounds_are_named(problem, illustrative, clone):
     found = run(problem, clone(illustrative), design=[3.0], design_rate=0.01)
+    assert any("by moving the design under the first policy, " in line for line in found.describe())
     assert found.active_bounds == {"p": "upper"}
     np.testing.assert_array_equal(found.design, [3.0])
 

@@ -154,7 +154,7 @@ def weighed(seen):
 
 @pytest.mark.parametrize("drawn", [True, False])
 def test_an_agent_sees_what_is_measured_as_in_the_closed_loop(problem, drawn):
-    design, sensor = problem.design.from_unit([0.3]), Measurement([[1.0, 0.3]], noise=NOISE)
+    design, sensor = problem.design.from_unit([0.3]), Measurement([[1.0, 0.3]], noise=NOISE[: problem.steps])
     env = DesignEnv(problem, None if drawn else design, output=sensor, history=4)
     observation, _ = env.reset(seed=0, options={"design": design})
     total, ended = 0.0, False
@@ -165,6 +165,12 @@ def test_an_agent_sees_what_is_measured_as_in_the_closed_loop(problem, drawn):
     x0, w = problem.scenarios.sample(3, problem.steps, np.random.default_rng(0))
     run = Scenario(problem.model, x0, w, output=sensor).run(env.controller(weighed, design), design=design)
     np.testing.assert_allclose(run.returns(problem.objective), total - problem.cost_of_design(design), rtol=1e-4)
+
+
+def test_recorded_noise_needs_a_sample_for_each_step(problem):
+    env = DesignEnv(problem, output=Measurement([[1.0, 0.3]], noise=NOISE[: problem.steps - 1]), history=4)
+    with pytest.raises(InputError, match=r"output.noise: got shape \(1, 99, 1\), expected \(1, 100, ny\)"):
+        env.reset(seed=0)
 
 
 def test_noise_is_of_every_episode_and_of_its_seed(problem):

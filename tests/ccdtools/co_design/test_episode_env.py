@@ -9,6 +9,7 @@ import torch
 
 from ccdtools import (
     CoDesignProblem,
+    CustomObjective,
     DesignSpace,
     Gaussian,
     InputError,
@@ -24,6 +25,7 @@ from ccdtools import (
 from ccdtools.co_design import EpisodeEnv
 from ccdtools.controllers import History
 from ccdtools.disturbances import Uniform
+from ccdtools.plants import from_gymnasium
 from learning import CheckpointError, train
 
 
@@ -62,7 +64,7 @@ def test_a_policy_of_measured_outputs_returns_what_it_does_in_a_closed_loop(susp
     problem = suspension.problem()
     design = problem.design.centre
     x0, w = problem.scenarios.sample(3, problem.steps, np.random.default_rng(4))
-    drawn = None if noise is None else 0.01 * np.random.default_rng(5).standard_normal((3, problem.steps + 1, 2))
+    drawn = None if noise is None else 0.01 * np.random.default_rng(5).standard_normal((3, problem.steps, 2))
     sensor = Measurement(np.eye(4)[::2], noise=drawn)
     env = EpisodeEnv(problem, design, runs=3, rng=np.random.default_rng(4), output=sensor, history=5)
     law = LearnedPolicy(env.agent(seed=2), design)
@@ -179,29 +181,67 @@ def test_a_training_says_how_many_of_its_episodes_were_lost():
     assert "; 100% of the last were terminated, their mean length is " in trained.describe()
 
 
+def at_first(x, u, p):
+    """A cost that is that of the regulator until a state is large."""
+    return x[0] ** 2 + x[1] ** 2 + u[0] ** 2 + ca.fmax(0, x[0] ** 2 - 1e4)
+
+
 @pytest.mark.parametrize("change", [
     {"steps": 7}, {"objective": QuadraticObjective(np.eye(2), [[7.0]])}, {"U": (-0.5, 0.5)},
-    {"X": ([-9.0, -9.0], [9.0, 9.0])},
+    {"X": ([-9.0, -9.0], [9.0, 9.0])}, {"scenarios": RandomStarts([[1.0, 0.0]], Gaussian([0.3, 0.0]))},
+    {"objective": CustomObjective(at_first)}, {"model": 0.9},
 ])  # fmt: skip
 def test_a_training_does_not_go_on_in_another_problem(illustrative, change):
-    problem = illustrative.problem()
-    kept = EpisodeEnv(problem, [1.0], runs=4, rng=np.random.default_rng(0))
+    problem = replace(
+        illustrative.problem(), objective=CustomObjective(lambda x, u, p: x[0] ** 2 + x[1] ** 2 + u[0] ** 2),
+        scenarios=RandomStarts([[1.0, 0.0]], Gaussian([0.1, 0.0])),
+    )  # fmt: skip
+    if "model" in change:
+        x, u, w, p = (ca.SX.sym(name, size) for name, size in zip("xuwp", (2, 1, 2, 1)))
+        dynamics = ca.vertcat(x[0] + x[1], x[1] + change["model"] * p * u) + 0.1 * w
+        plant = Plant(x, u, w, p, dynamics, problem.design, dt=problem.model.dt, continuous=False)
+        change = {"model": discretise(plant)}
+    kept, again, other = (
+        EpisodeEnv(one, [1.0], runs=4, rng=np.random.default_rng(0))
+        for one in (problem, replace(problem), replace(problem, **change))
+    )
     kept.reset()
-    other = EpisodeEnv(replace(problem, **change), [1.0], runs=4, rng=np.random.default_rng(0))
+    again.restore(kept.state())
     with pytest.raises(InputError, match="state: got 4 runs at the design"):
         other.restore(kept.state())
 
 
-def test_a_training_does_not_go_on_with_another_plant(illustrative):
-    rng, problem, envs = np.random.default_rng(0), illustrative.problem(), []
-    x, u, w, p = (ca.SX.sym(name, size) for name, size in zip("xuwp", (2, 1, 2, 1)))
-    for part in (0.9, 1.0):
-        dynamics = ca.vertcat(x[0] + x[1], x[1] + part * p * u) + 0.1 * w
-        plant = Plant(x, u, w, p, dynamics, problem.design, dt=problem.model.dt, continuous=False)
-        envs.append(EpisodeEnv(replace(problem, model=discretise(plant)), [1.0], runs=4, rng=rng))
+def test_a_training_does_not_go_on_with_other_noise(illustrative):
+    problem = illustrative.problem()
+    envs = [
+        EpisodeEnv(problem, [1.0], runs=4, rng=np.random.default_rng(0), output=Measurement(np.eye(2), [std, std]),
+                   history=3) for std in (0.1, 0.1, 0.2)
+    ]  # fmt: skip
     envs[0].reset()
-    with pytest.raises(InputError, match="state: got a plant whose first sample ends at"):
-        envs[1].restore(envs[0].state())
+    envs[1].restore(envs[0].state())
+    with pytest.raises(InputError, match="state: got 4 runs at the design"):
+        envs[2].restore(envs[0].state())
+
+
+def test_a_training_goes_on_in_a_simulator_that_was_used_and_not_in_a_changed_one():
+    gymnasium = pytest.importorskip("gymnasium")
+    inner = gymnasium.make("Pendulum-v1").unwrapped
+    problem = CoDesignProblem(
+        from_gymnasium(inner), X=([-4, -8], [4, 8]), U=(-2, 2), steps=20, scenarios=RandomStarts([[0.1, 0.0]]),
+        objective=QuadraticObjective(np.eye(2), [[1.0]]),
+    )  # fmt: skip
+
+    def env():
+        return EpisodeEnv(problem, [], runs=4, rng=np.random.default_rng(0))
+
+    first = env()
+    first.reset()
+    kept = first.state()
+    first.step(torch.ones(4, 1))
+    env().restore(kept)
+    inner.m = 2.0
+    with pytest.raises(InputError, match="state: got 4 runs"):
+        env().restore(kept)
 
 
 def test_wrong_calls_name_their_argument(illustrative):

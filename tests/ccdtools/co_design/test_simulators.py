@@ -254,6 +254,20 @@ def test_a_length_is_designed_in_an_environment_of_gymnasium():
     assert cost_of_a_length(found.design[0]) == pytest.approx(best.fun, rel=1e-3)
 
 
+@pytest.mark.parametrize("step_limit", [None, pytest.param(60.0, marks=pytest.mark.check)])
+def test_inputs_that_an_environment_does_not_take_are_refused(step_limit):
+    gymnasium = pytest.importorskip("gymnasium")
+    given = {"X": ([-1, -8], [1, 8]), "scenarios": FixedStart([0.05, 0.0]), "steps": 5,
+             "objective": QuadraticObjective(np.eye(2), [[0.1]])}  # fmt: skip
+    plant = from_gymnasium(gymnasium.make("Pendulum-v1"), step_limit=step_limit)
+    for wide in ((-2, 2.1), lambda p: (-2.1, 1)):
+        with pytest.raises(InputError, match=r"U: got inputs from .*2.1.* within \[-2.\] and \[2.\], the actions"):
+            CoDesignProblem(plant, U=wide, **given)
+    problem = CoDesignProblem(plant, U=(-2, 2), **given)
+    with pytest.raises(InputError, match="U: got inputs from"):
+        replace(problem, U=(-3, 3))
+
+
 def cost_of_a_length(length):
     """Cost of the loop above by the equations of motion."""
     gain, B = 0.05 * 3 * 10.0 / (2 * length), 0.05 * 3 / length**2

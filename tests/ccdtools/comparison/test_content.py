@@ -10,7 +10,9 @@ import pytest
 STUDY = """
 import functools
 import numpy as np
-from ccdtools import CustomObjective, LearnedPolicy, QuadraticObjective, Scenario, experiment, plant_from_matrices
+from ccdtools import (
+    CustomObjective, LearnedPolicy, QuadraticObjective, Scenario, discretise, experiment, plant_from_matrices,
+)
 from learning import ActorCritic
 
 SHARED = {"b": 2.0, "a": 0.5}
@@ -46,7 +48,7 @@ plant = plant_from_matrices([[0.9]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
 
 def go(folder):
     maker = closed(law, objective, LearnedPolicy(agent, []))
-    experiment({"law": maker}, Scenario(plant, [[1.0]], np.ones((5, 1))), seeds=2, X=([-50], [50]),
+    experiment({"law": maker}, Scenario(discretise(plant), [[1.0]], np.ones((5, 1))), seeds=2, X=([-50], [50]),
                objective=QuadraticObjective([[1.0]], [[0.5]]), folder=folder)
 """
 
@@ -86,6 +88,7 @@ def test_what_is_used_in_between_and_where_it_stands_in_a_file_is_no_change(tmp_
 @pytest.mark.parametrize("change", [
     ("[[0.5]]))\nplant", "[[0.6]]))\nplant"), ("return 2 * K", "return 3 * K"), ("factor = 1.0", "factor = 1.5"),
     ("-self.factor * x", "+self.factor * x"), ('"a": 0.5', '"a": 0.7'), ('"words"', '"sword"'), ("seed=1", "seed=2"),
+    ("[[0.9]], [[1.0]]", "[[0.8]], [[1.0]]"),
     ("2 * x[0] ** 2", "3 * x[0] ** 2"), ("if objective and policy", "if policy and objective"),
 ])  # fmt: skip
 def test_a_controller_that_was_changed_is_computed_anew_and_its_old_numbers_stay(tmp_path, change):

@@ -68,6 +68,19 @@ def test_a_scenario_in_which_every_controller_stops_stays(tmp_path):
         assert "learned: seed 0: dead: advance: got a function that stops with OSError: the solver failed" in shown
 
 
+@pytest.mark.parametrize("starts", [[[4.0], [1.0]], [[4.0], [5.0]]])
+def test_a_simulator_that_stops_in_the_first_step_is_a_row_that_stopped(starts):
+    dead = Scenario(stopping(3.0), starts, np.zeros((2, 20, 1)))
+    result = found({"LQR": LAWS["LQR"], "none": lambda p, rng: Passive(1)}, {"good": drawn, "dead": dead}, seeds=2)
+    stopped = sum(start > [3.0] for start in starts)
+    assert result["none", "good"].evidence.lost == (0, 0)
+    assert result["none", "dead"].evidence.lost == (2 * stopped, 2 * stopped)
+    assert "dead: advance: got a function that stops with OSError: the solver failed" in result["none", "dead"].remark
+    assert f"at step 0. ({stopped} of 2 runs)" in result["none", "dead"].remark
+    with pytest.raises(InputError, match="objective"):
+        found(LAWS, dead, seeds=2, objective=QuadraticObjective(np.eye(2), [[1.0]]))
+
+
 def test_runs_that_end_are_kept_beside_those_that_stop(tmp_path):
     """Returns are those by hand, and a controller's inputs and sensors those of its own runs."""
     rng = np.random.default_rng(4)

@@ -113,9 +113,14 @@ class _Walk:
                 return
         for part in value.__reduce_ex__(4):
             if isinstance(part, dict):
-                kind = type(value)
-                part = {k: v for k, v in part.items() if not isinstance(getattr(kind, str(k), None), cached_property)}
+                part = {k: v for k, v in part.items() if not _only_cached(value, k, v)}
             yield list(part) if inspect.isgenerator(part) or hasattr(part, "__next__") else part
+
+
+def _only_cached(value: Any, name: Any, part: Any) -> bool:
+    """Whether a part of an object's state is what a property of that name has cached."""
+    own = isinstance(getattr(type(value), str(name), None), cached_property)
+    return own and vars(value).get(name) is part
 
 
 def _within(module: Any, names: Iterable[str], seen: set[int]) -> Iterator[Any]:

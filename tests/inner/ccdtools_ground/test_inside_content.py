@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from ccdtools.comparison.content import content_of
+from ccdtools_ground.content import content_of
 
 
 def made(source, name):
