@@ -23,7 +23,8 @@ BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing
 WRITTEN = re.compile(r"```sh\n(.*?)```", re.S)
 INLINE = re.compile(r"`((?:ccdtools|python|make) [^`…]+)`")
 LONG = [  # co-designs; a policy and a twin that are trained
-    "codesign.md", "compare.md", "deploy_and_update.md", "every_stage_alone.md", "objectives.md", "ten_minutes.md",
+    "codesign.md", "compare.md", "deploy_and_update.md", "every_stage_alone.md", "imitate_mpc.md", "objectives.md",
+    "ten_minutes.md",
 ]  # fmt: skip
 HEAVY = dict.fromkeys(LONG, pytest.mark.check)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")

@@ -88,12 +88,17 @@ def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(tmp_path):
 @pytest.mark.check
 def test_learning_pays_at_the_wall_alone_as_its_notebook_shows(tmp_path):
     for notebook in (kept("07"), run_again("07", tmp_path)):
-        lines = "".join(printed(notebook)).splitlines()
-        rows = [line for line in lines if line.startswith("PPO") and "return" in line]
-        suspension, *wall = [line.split("beside LQR ")[1] for line in rows]
-        assert abs(float(suspension.split(" %")[0].replace("−", "-"))) < 3
-        assert len(wall) == 5
-        assert all(float(gain.split("[")[1].split(",")[0].replace("−", "-")) > 0 for gain in wall)
+        lines = "".join(printed(notebook)).replace("−", "-").splitlines()
+        gains = {}
+        for name, runs in (("PPO", "5 × 100 runs"), ("nonlinear MPC", "5 × 3 runs")):
+            rows = [line for line in lines if line.startswith(name) and "return" in line]
+            assert all(runs in line for line in rows)
+            ends = [re.findall(r"[-+]?[\d.]+", line.split("beside LQR ")[1])[:3] for line in rows]
+            gains[name] = np.array(ends, dtype=float)  # [%]: mean, and ends of its interval
+            assert gains[name].shape == (6, 3)
+            assert abs(gains[name][0, 0]) < 3  # on the suspension
+        assert (gains["PPO"][1:, 1] > 0).all()
+        assert (gains["nonlinear MPC"][1:, 0] < gains["PPO"][1:, 0]).all()
 
 
 @pytest.mark.check
