@@ -115,8 +115,8 @@ class Derivatives:
         of_cost, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.m)
         s, c, r = given[: self.n], given[self.n], given[self.n + 1 :]
         v = z * s
-        f, g = self.values(v)
-        (_, slope), (_, whole) = (function(v) for function in self.jacobian)
+        f, g = (ca.Function(name, [self.v], [value])(v) for name, value in (("f", self.f), ("g", self.g)))
+        (with_slope, slope), (with_jacobian, whole) = (function(v) for function in self.jacobian)
         curvature = self.hessian(v, of_cost / c, multipliers / r)
         rows, columns = whole.sparsity().get_triplet()
         jacobian = ca.MX(whole.sparsity(), ca.vec(whole.nz[:]) * ca.vec(s[columns]) / ca.vec(r[rows]))
@@ -124,8 +124,8 @@ class Derivatives:
         hessian = ca.MX(curvature.sparsity(), ca.vec(curvature.nz[:]) * ca.vec(s[first]) * ca.vec(s[second]))
         names = ["x", "p"]
         functions = {
-            "grad_f": ca.Function("nlp_grad_f", [z, given], [f / c, slope * s / c], names, ["f", "grad_f_x"]),
-            "jac_g": ca.Function("nlp_jac_g", [z, given], [g / r, jacobian], names, ["g", "jac_g_x"]),
+            "grad_f": ca.Function("nlp_grad_f", [z, given], [with_slope / c, slope * s / c], names, ["f", "grad_f_x"]),
+            "jac_g": ca.Function("nlp_jac_g", [z, given], [with_jacobian / r, jacobian], names, ["g", "jac_g_x"]),
             "hess_lag": ca.Function(
                 "nlp_hess_l", [z, given, of_cost, multipliers], [hessian], [*names, "lam_f", "lam_g"],
                 ["triu_hess_gamma_x_x"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,12 +36,12 @@ class Settings:
     iterations: int  # at most
     seconds: float  # at most; infinite where there is no limit
     options: dict[str, Any]  # for Ipopt
-    each: bool = False  # whether the time is that of each call, whose solver is kept, and goes on from its last iterate
+    best: bool = True  # whether the best iterate is returned where the solver is stopped, and not the last one
 
     @property
-    def may_stop(self) -> bool:
-        """Whether iterates are looked at, to keep the best if the solver is stopped."""
-        return not self.each and (self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds)))
+    def watched(self) -> bool:
+        """Whether iterates are looked at."""
+        return bool(np.isfinite(self.seconds)) or (self.best and self.iterations < USUAL_ITERATIONS)
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     with ONE_AT_A_TIME:
         solver, watch = solver_of(program, settings)
         if watch is not None:
-            watch.begin(given)
+            watch.begin(given, settings)
         result = solver(**given)
         stats = solver.stats()
     z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
@@ -93,20 +94,18 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
-def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
+def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, Watch | None]:
     """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
-    if np.isfinite(settings.seconds):
-        limits["max_wall_time"] = settings.seconds
     # QAMD, number 6, is for rows that are nearly full: parameters and durations reach every interval of every scenario
     given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": BOTTOMLESS, "mumps_pivot_order": 6}
     ipopt = given | limits | settings.options
     made = program.derivatives.solvers
-    key = repr((sorted(ipopt.items()), settings.may_stop))
+    key = repr((sorted(ipopt.items()), settings.watched))
     if key in made:
         return made[key]  # type: ignore[no-any-return]
     statement, functions = program.derivatives.scaled
-    watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.may_stop else None
+    watch = Watch(len(program.lower), len(program.row_lower)) if settings.watched else None
     plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "inputs_check": False}
     own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
     try:
@@ -116,25 +115,30 @@ def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestItera
             raise
         reason = str(error).strip().splitlines()[-1]
         raise InputError("options", brief(repr(settings.options)), "options that Ipopt knows", reason) from error
-    if settings.each or not np.isfinite(settings.seconds):  # what is left of a time limit is never the same twice
-        made[key] = solver, watch
+    made[key] = solver, watch
     return solver, watch
 
 
-class BestIterate(ca.Callback):
-    """Callback that keeps the cheapest feasible iterate, else the least infeasible."""
+class Watch(ca.Callback):
+    """Callback that stops in time, and keeps the best iterate.
+
+    That is the cheapest feasible one, else the least infeasible.
+    """
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
         self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": unknowns + 1 + rows}
-        self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)})
-        self.construct("best", {})
+        self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)}, Settings(0.0, 0, np.inf, {}))
+        self.construct("watch", {})
 
-    def begin(self, given: dict[str, Any]) -> None:
+    def begin(self, given: dict[str, Any], settings: Settings) -> None:
         """Forget what was kept."""
         self.z = np.zeros(0)
         self.rank = (np.inf, np.inf)
         self._sides = given["lbg"], given["ubg"]
+        self._best = settings.best
+        self._last = time.perf_counter()
+        self._end, self._longest = self._last + settings.seconds, 0.0
 
     def get_n_in(self) -> int:
         """Number of arguments, for CasADi."""
@@ -154,11 +158,14 @@ class BestIterate(ca.Callback):
 
     def eval(self, arg: Any) -> list[int]:
         """Look at one iterate."""
-        f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
-        rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
-        if rank < self.rank:
-            self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
-        return [0]
+        if self._best:
+            f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
+            rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
+            if rank < self.rank:
+                self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
+        before, self._last = self._last, time.perf_counter()
+        self._longest = max(self._longest, self._last - before)
+        return [int(self._last + self._longest > self._end)]  # one more iteration would probably end too late
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:

@@ -73,8 +73,8 @@ class NonlinearMPC(Immutable):
         the straight way to the reference, then inputs by chance. They are tried again where a plan that is followed
         leads to no optimum, or to a worse one than the linear law's simulation.
     time_limit : float, optional
-        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops by itself after as
-        long; the plan is then `LATE`, and the next sample goes on from it.
+        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops before it is up;
+        the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------
@@ -206,6 +206,8 @@ class NonlinearMPC(Immutable):
         if self._loop is not None:
             planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
             _ = planner.stages  # made before a clock runs
+            if np.isfinite(limit):
+                planner.prepare()
             return planner
         return QuadraticPlanner(
             self.problem, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
