@@ -57,6 +57,10 @@ class LinearMPC(MPCProblem):
         Set for x_N, beside X.
     E : (nx, nw) array, optional
         Disturbance matrix, for disturbances known ahead, and for W.
+    mean : (nw,) array, optional
+        Disturbance where a call names none, as of a model with a constant part. Without references the plan then costs
+        least with the state and input in which LQR would settle under it as 0, which are those of least cost at rest:
+        so without limits it is LQR with an offset. Not beside W.
     W : Polytope or (lower, upper), optional
         Set of disturbances that nobody knows: x⁺ = Ax + Bu + Ew with any w in W (without E, what is added to each
         state). Limits are tightened along the plan by what they can do under u = v - Kx with K = `tube_gain`, and the
@@ -113,7 +117,8 @@ class LinearMPC(MPCProblem):
         parameters : str
             Any of "u_prev" (always present with a rate limit), "x_ref", "u_ref", "w".
         """
-        return condense(self, parameters)
+        lasting = self.lasting_beside(parameters)
+        return condense(self, (*parameters, *lasting)).fix(**lasting)
 
     def solve(
         self, x: ArrayLike, *, u_prev: ArrayLike | None = None, x_ref: ArrayLike | None = None,
@@ -234,6 +239,11 @@ class LinearMPC(MPCProblem):
 
         given = spread_signals(self, dict(signals))
         plan = self.solve(x, **signals)
+        if self.mean is not None and not {"x_ref", "u_ref"} & {*signals} and any(
+            change is not None for change in (dA, dB, dE, dQ, dR, dS)
+        ):  # fmt: skip
+            cure = "Give x_ref and u_ref."
+            raise InputError("mean", "a rest that moves with the parameters", "derivatives at given references", cure)
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
         changes = as_changes(self, derivatives)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -14,7 +14,7 @@ from ccdtools_ground.door import as_cross_weight, as_pair, as_weight, frozen
 from mpc.checks import Array, Immutable, as_array, as_blocks, as_count, as_halfspaces, as_rate_limit, as_set, as_soft
 from mpc.exceptions import InfeasibleError, InputError
 from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
-from mpc.riccati import lqr
+from mpc.riccati import lqr, settled
 from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tightened, tube_gain
 
 
@@ -45,6 +45,7 @@ class MPCProblem(Immutable):
     U: Any = field(default=None, kw_only=True)
     terminal_set: Any = field(default=None, kw_only=True)
     E: Any = field(default=None, kw_only=True)
+    mean: Any = field(default=None, kw_only=True)
     W: Any = field(default=None, kw_only=True)
     rate_limit: Any = field(default=None, kw_only=True)
     soft: tuple[float, float] | None = field(default=None, kw_only=True)
@@ -72,6 +73,7 @@ class MPCProblem(Immutable):
             self._set(**{name: checked, rows: (H, h)})
         if self.E is not None:
             self._set(E=as_array("E", self.E, (self.nx, None)))
+        self._set(mean=self._checked_mean())
         self._set(uses=_checked_uses(self.uses, self.nw))
         if self.rate_limit is not None:
             self._set(rate_limit=as_rate_limit(self.rate_limit, self.nu))
@@ -89,6 +91,15 @@ class MPCProblem(Immutable):
             self._set(P=P, given_P=P)
         if self.W is not None:
             self._close_robustly()
+
+    def _checked_mean(self) -> Array | None:
+        """Mean (nw,) of the disturbance, if one is stated."""
+        if self.mean is None:
+            return None
+        if self.E is None or self.W is not None:
+            got = "one without E" if self.E is None else "one beside W"
+            raise InputError("mean", got, "a mean of what enters by E, without W", "W holds all of the disturbance.")
+        return as_array("mean", self.mean, (self.nw,))
 
     def _close_robustly(self) -> None:
         """Check what W goes with, and find the terminal set where none was given."""
@@ -169,6 +180,23 @@ class MPCProblem(Immutable):
         N = self.horizon
         shapes = {"u_prev": (1, self.nu), "x_ref": (N + 1, self.nx), "u_ref": (N, self.nu), "w": (N, self.nw)}
         return shapes if self.nw else {name: shape for name, shape in shapes.items() if name != "w"}
+
+    @cached_property
+    def _lasting(self) -> dict[str, Array]:
+        """Mean, and the rest of least cost under it, over the horizon."""
+        if self.mean is None:
+            return {}
+        x, u = settled(self.A, self.B, self.E @ self.mean, Q=self.Q, R=self.R, S=self.S)
+        values = {"x_ref": x, "u_ref": u, "w": self.mean}
+        return {name: frozen(np.tile(value, (self.signal_shapes[name][0], 1))) for name, value in values.items()}
+
+    def lasting_beside(self, named: Collection[str]) -> dict[str, Array]:
+        """Signals in place of those that a call does not name.
+
+        A reference of its own replaces both.
+        """
+        own = {*named} | ({"x_ref", "u_ref"} if {"x_ref", "u_ref"} & {*named} else set())
+        return {name: value for name, value in self._lasting.items() if name not in own}
 
     @cached_property
     def gain(self) -> Array:

@@ -76,6 +76,22 @@ def lqr(
     return K * sx / su[:, None], P * sx * sx[:, None]
 
 
+def settled(
+    A: Array, B: Array, c: Array, *, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """State (nx,) and input (nu,) at which x⁺ = Ax + Bu + c rests at least cost.
+
+    About them c is gone from the model, and from what a plan costs but for a part that no input changes. They are
+    where LQR settles with the offset −(R + B'PB)⁻¹ B' (I − (A − BK)')⁻¹ P c.
+    """
+    K, P = lqr(A, B, Q=Q, R=R, S=S)
+    R = as_weight("R", R, B.shape[1])
+    still = np.eye(len(A)) - A + B @ K
+    offset = -np.linalg.solve(R + B.T @ P @ B, B.T @ np.linalg.solve(still.T, P @ c))
+    x = np.asarray(np.linalg.solve(still, B @ offset + c))
+    return x, np.asarray(offset - K @ x)
+
+
 def cost_units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     """Scales (nx,) and (nu,) that give the weights a unit diagonal.
 

@@ -164,9 +164,8 @@ def spread_signals(problem: MPCProblem, signals: dict[str, ArrayLike | None]) ->
     """
     shapes = problem.signal_shapes
     given: dict[str, Array] = {}
-    for name, value in signals.items():
-        if value is None:
-            continue
+    stated = {name: value for name, value in signals.items() if value is not None}
+    for name, value in (problem.lasting_beside(stated) | stated).items():
         if name == "w" and name not in shapes:
             raise InputError("w", "a disturbance", "none", "The controller has no disturbance matrix E.")
         if name not in shapes:

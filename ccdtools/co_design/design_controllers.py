@@ -101,13 +101,16 @@ def linear_mpc(
 ) -> LinearMPC:
     """MPC of the nominal model, or its linearisation at rest, within a design's limits.
 
-    With `W`, such as `ccdtools.twin.disturbance_set` finds in a log, limits are tightened for x⁺ = Ax + Bu + w with any
+    A stated mean of the disturbance is part of the model, see `mean` of `LinearMPC`, but with `W`, which holds it. With
+    `W`, such as `ccdtools.twin.disturbance_set` finds in a log, limits are tightened for x⁺ = Ax + Bu + w with any
     w (nx,) in W; see `LinearMPC`.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
-    A, B, _ = problem.model.matrices(p)
+    A, B, E = problem.model.matrices(p)
     own = problem.weights(p).keywords()
+    if problem.mean_disturbance.any() and W is None:
+        own |= {"E": np.eye(len(A)), "mean": E @ problem.mean_disturbance}
     return LinearMPC(A, B, **own, horizon=horizon, X=problem.kept_by_mpc(p), U=problem.input_limits(p), W=W)
 
 
@@ -132,7 +135,7 @@ def nonlinear_mpc(
     Returns
     -------
     mpc.optimal_control.NonlinearMPC
-        With the limits of the problem at the design, and the disturbance at rest.
+        With the limits of the problem at the design, and the disturbance at rest or at its stated mean.
     """
     from mpc.optimal_control import NonlinearMPC
 
@@ -142,8 +145,11 @@ def nonlinear_mpc(
     iterations = None if iterations is None else as_count("iterations", iterations)
     if as_choice("cost", cost, ("weights", "objective")) == "objective" and own_cost(problem):
         return NonlinearMPC(_phase(problem, p, as_count("horizon", horizon), X), p=p)
+    mean, own = problem.mean_disturbance, problem.weights(p).keywords()
+    if mean.any():
+        own |= {"disturbances": len(mean), "mean": mean}
     return NonlinearMPC(
-        undisturbed_step(problem.model), problem.model.nx, problem.model.nu, p=p, **problem.weights(p).keywords(),
+        named_step(problem.model, disturbed=bool(mean.any())), problem.model.nx, problem.model.nu, p=p, **own,
         horizon=horizon, X=X, U=U, iterations=iterations,
     )  # fmt: skip
 
@@ -161,7 +167,8 @@ def _phase(problem: CoDesignProblem, p: Array, horizon: int, X: Polytope) -> Pha
     assert isinstance(objective, CustomObjective)
     A, B, _ = problem.model.matrices(p)
     _, P = lqr(A, B, **problem.weights(p).keywords())
-    step, stage_cost = undisturbed_step(problem.model), objective.stage_cost.function(nx, nu, len(p))
+    step = named_step(problem.model, w=problem.mean_disturbance)
+    stage_cost = objective.stage_cost.function(nx, nu, len(p))
     return Phase(
         lambda x, u, p: step(x, u, p), nx, nu, discrete=True, duration=horizon, u_bounds=problem.input_bounds_at(p),
         stage_cost=lambda x, u, p: stage_cost(x, u, p), terminal_cost=lambda x: x.T @ P @ x,
@@ -187,13 +194,16 @@ def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Con
         raise InputError("design", got, "a design that can be stabilised", cure) from error
 
 
-def undisturbed_step(model: Model) -> ca.Function:
-    """Function (x, u, p) → x⁺ at w = 0, by name."""
+def named_step(model: Model, *, disturbed: bool = False, w: Array | None = None) -> ca.Function:
+    """Function (x, u, p) → x⁺, by name.
+
+    It is at w (nw,), 0 by default, or of (x, u, w, p).
+    """
     step = model.step
     kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
-    names = ["x", "u", "p"]
-    x, u, p = (kind.sym(name, step.size1_in(i)) for name, i in zip(names, (0, 1, 3)))
-    return ca.Function("step", [x, u, p], [step(x, u, ca.DM.zeros(model.nw), p)], names, ["value"])
+    free = {name: kind.sym(name, step.size1_in(i)) for i, name in enumerate("xuwp") if disturbed or name != "w"}
+    known = {"w": ca.DM.zeros(model.nw) if w is None else ca.DM(w)} | free
+    return ca.Function("step", [*free.values()], [step(*(known[name] for name in "xuwp"))], [*free], ["value"])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.co_design.design_controllers import HORIZON, regulator_data, undisturbed_step, weight_changes
+from ccdtools.co_design.design_controllers import HORIZON, named_step, regulator_data, weight_changes
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
@@ -146,7 +146,7 @@ def _of_mpc(
 
     model = problem.model
     own: dict[str, Any] = {**changes, **moved}
-    return NonlinearMPC(undisturbed_step(model), model.nx, model.nu, p=p, **weights, **limits).sensitivity(x, **own)
+    return NonlinearMPC(named_step(model), model.nx, model.nu, p=p, **weights, **limits).sensitivity(x, **own)
 
 
 def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:

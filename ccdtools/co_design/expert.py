@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
-from ccdtools.co_design.expert_loops import DesignLaw, expert_law, follow
+from ccdtools.co_design.expert_loops import DesignLaw, expert_law, follow, stated_error
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
@@ -68,12 +68,12 @@ def feasible_sets(
     """Maximal control invariant sets X_fea(p), computed when asked for.
 
     With a set W of errors x⁺ − Ax − Bu (nx,), or W(p), they are robust: some input keeps the state in them whatever
-    the error is.
+    the error is. By default that error is the stated mean of the disturbance, if there is one.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     matrices = partial(_state_and_input_matrices, problem.model)
     X, U = (limits.at if isinstance(limits, DesignLimits) else limits for limits in (problem.X, problem.U))
-    return ParametricSet(matrices, X, U, W=W)
+    return ParametricSet(matrices, X, U, W=stated_error(problem) if W is None else W)
 
 
 def admissible_inputs(
@@ -90,7 +90,7 @@ def admissible_inputs(
         much of it as is certified within a minute.
     W : Polytope, optional
         Errors x⁺ − Ax − Bu (nx,), such as `ccdtools.twin.disturbance_set` finds in a log. X_fea(p) is then the robust
-        one, and the next state is kept in it whatever the error is.
+        one, and the next state is kept in it whatever the error is. By default the stated mean of the disturbance.
 
     Raises
     ------
@@ -101,19 +101,21 @@ def admissible_inputs(
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
     U = problem.input_limits(p)
+    stated = stated_error(problem)
+    error: Any = stated(p) if W is None and stated is not None else W
     if into is None:
-        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, W=W, time_limit=SET_SECONDS)
+        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, W=error, time_limit=SET_SECONDS)
         into = found.set
         if into.is_empty:
             got = f"{problem.design.describe(p)}, where no control invariant set in X was found ({found.status.name})"
             raise InputError("design", got, "a design at which some states can be kept within X", found.status.advice)
     as_instance("into", into, Polytope, "a Polytope or None")
-    return AdmissibleInputs(A, B, into, U, W=W)
+    return AdmissibleInputs(A, B, into, U, W=error)
 
 
-def _leaving(model: Any, begin: Starts, x: Array, u: Array) -> float:
+def _leaving(problem: CoDesignProblem, begin: Starts, x: Array, u: Array) -> float:
     """Fraction of states (n, nx) in known sets that a step leads outside."""
-    after = np.asarray(model.advance(x, u, np.zeros(model.nw), begin.p))
+    after = np.asarray(problem.model.advance(x, u, problem.mean_disturbance, begin.p))
     kept = [S.contains(after[i], EDGE_OF_SET) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
     return 1.0 - float(np.mean(kept)) if kept else 0.0
 
@@ -205,6 +207,6 @@ def expert_dataset(
     lost = float(np.isnan(values[0, : begin.candidates]).mean())
     counts = begin.counts
     if not isinstance(problem.model, LinearModel):
-        leaving = _leaving(problem.model, begin, states[0], actions[0])
+        leaving = _leaving(problem, begin, states[0], actions[0])
         counts = replace(counts, local=True, leaving=leaving)
     return ExpertData(inputs[known], actions[known], values[known], begin.acceptance, lost, counts)

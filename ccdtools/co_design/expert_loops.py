@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.exceptions import CCDError, InputError
+from ccdtools.plants.models import Model
 from ccdtools.progress import counted
 from ccdtools_ground.door import as_floats, shown
 from ccdtools_ground.user_functions import stopped
@@ -132,6 +134,18 @@ def _asked(controller: Law, x: Array, nu: int) -> Array:
     return u.reshape(nu)
 
 
+def stated_error(problem: CoDesignProblem) -> Callable[[Array], tuple[Array, Array]] | None:
+    """Function p → error x⁺ − Ax − Bu of a stated mean, as bounds."""
+    mean = problem.mean_disturbance
+    return partial(_mean_error, problem.model, mean) if mean.any() else None
+
+
+def _mean_error(model: Model, mean: Array, design: Array) -> tuple[Array, Array]:
+    """E(p) times the mean, as bounds; picklable."""
+    error = model.matrices(design)[2] @ mean
+    return error, error
+
+
 def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array], Array]:
     """Function of states and inputs (n, ·) → inputs that stay in X_fea.
 
@@ -152,6 +166,8 @@ def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Arr
         limits[k, : len(S.b)] = S.b / size
     of_states = F @ model.A[runs]
     of_inputs = F @ model.B[runs]
+    stated = stated_error(problem)
+    limits -= np.einsum("kij,kj->ki", F, model.E[runs] @ problem.mean_disturbance)
 
     def filtered(x: Array, u: Array) -> Array:
         """Inputs (n, nu) at states (n, nx)."""
@@ -170,7 +186,8 @@ def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Arr
             if name not in filters:
                 first = chosen[0]
                 U = problem.input_limits(model.designs[first])
-                filters[name] = AdmissibleInputs(model.A[first], model.B[first], S, U)
+                W = stated and stated(model.designs[first])
+                filters[name] = AdmissibleInputs(model.A[first], model.B[first], S, U, W=W)
             u[chosen] = filters[name].project(x[chosen], u[chosen])[0]
         return u
 

@@ -26,7 +26,18 @@ from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.plant_fit import FitStatus, PlantFit, fit_plant
 from ccdtools.twin.unknown_plant import stated_plant
 from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, shown
+from ccdtools_ground.outcome import Outcome
 from mpc import NotStabilisableError
+
+
+class DeploymentStatus(Outcome):
+    """Outcome of a deployment; the value is the advice."""
+
+    LOGGED = "Logged: runs were kept, and tell the next generation."
+    LOST = (
+        "Every run diverged, so the log tells nothing and no generation follows. Begin with a design and a law that "
+        "the real plant bears (design=, method=), state what is uncertain, or log shorter runs from nearer to rest."
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,17 +74,23 @@ class FittedGeneration:
     update: PairedDifference | None = None
     agent: Any = None
 
+    @property
+    def status(self) -> DeploymentStatus:
+        """Whether the deployment kept a run."""
+        return DeploymentStatus.LOST if self.log.diverged.all() else DeploymentStatus.LOGGED
+
     def __str__(self) -> str:
         """Decision and gain in a sentence."""
+        lost = [self.status.advice] if self.status is DeploymentStatus.LOST else []
         if self.fit is None:
-            return f"first design {np.round(self.design, 4)}"
+            return ". ".join([f"first design {np.round(self.design, 4)}", *lost])
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
         said = f"redesign {place}"
         if isinstance(self.fit, PlantFit) and self.predicted is None:
             said = f"no redesign: {self.fit.advice}"
         words = {"predicted": self.predicted, "measured": self.gain, "LQR by the logs measured": self.update}
         gains = [f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for name, one in words.items() if one]
-        return ", ".join([said, *gains])
+        return ". ".join([", ".join([said, *gains]), *lost])
 
 
 def fitted_generations(
@@ -90,6 +107,8 @@ def fitted_generations(
     there beyond chance, or loses more runs: than what was deployed before, and than an update of it. Where states are
     logged that is LQR of the affine model that they tell at the former design (`identified_lqr`), if it is better there
     beyond chance and breaks no limit.
+
+    Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
     Parameters
     ----------
@@ -144,7 +163,7 @@ def fitted_generations(
         return replace(made, agent=getattr(one, "agent", None))
 
     found = [logged(codesign(problem, method=by, design=design, rng=rng))]
-    for _ in range(1, generations):
+    while len(found) < generations and found[-1].status is DeploymentStatus.LOGGED:
         before = found[-1]
         fit: PlantFit | IdentifiedChange
         if plant is None and sensors is None:
@@ -185,7 +204,7 @@ class _Deployments:
         return scenario.run(one.controller, design=one.design, limit=self.problem.limit)
 
     def gain(self, after: Trajectory, before: Trajectory) -> PairedDifference:
-        """Gain on common runs that neither loses."""
+        """Gain on common runs that neither loses; NaN where there are none."""
         kept = ~(after.diverged | before.diverged)
         return paired_difference(*(run.returns(self.problem.objective)[kept] for run in (after, before)))
 
@@ -205,7 +224,7 @@ class _Deployments:
         if again is not None:
             run = self.run(again, scenario)
             gain = self.gain(run, old)
-            if self.gain(run, best).ci95[1] >= 0 and run.diverged.sum() <= best.diverged.sum():
+            if not self.gain(run, best).ci95[1] < 0 and run.diverged.sum() <= best.diverged.sum():
                 deployed, update = again, None
         return deployed, gain, update
 

@@ -2,6 +2,7 @@ from ccdtools.evidence.drift import Drift as Drift, detect_drift as detect_drift
 from ccdtools.evidence.switchback import Trial as Trial, switchback as switchback
 from ccdtools.twin.deployment import deploy as deploy, deploy_and_update as deploy_and_update
 from ccdtools.twin.error_set import disturbance_set as disturbance_set
+from ccdtools.twin.experiments import ExperimentPlan as ExperimentPlan, plan_experiment as plan_experiment
 from ccdtools.twin.free_running import free_running_bands as free_running_bands
 from ccdtools.twin.identified import (
     identified_change as identified_change,

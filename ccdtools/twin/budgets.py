@@ -9,3 +9,6 @@ DERIVATIVES_AT_ONCE = 8192  # Derivatives are computed of so many samples at onc
 
 # --- least squares ---------------------------------------------------------------------------------------------------
 RIDGES = np.append(np.logspace(-12, 4, 65), np.inf)  # Weights tried, beside the square of the largest singular value
+
+# --- experiments -----------------------------------------------------------------------------------------------------
+EXCITATIONS = (0.1, 0.3, 1.0)  # Excitations are tried of these shares of U's half-width.

@@ -75,8 +75,8 @@ def _carried(problem: CoDesignProblem, logs: Logs, p: Array | None = None) -> li
 def identified_change(problem: CoDesignProblem, logs: Logs) -> IdentifiedChange:
     """Affine change of a model, from logs.
 
-    Fitted as by `identified_lqr`. ``updated_problem(problem, identified_change(problem, log))`` is what LQR and every
-    co-design take; MPC and sets go by its matrices and know nothing of the constant.
+    Fitted as by `identified_lqr`. ``updated_problem(problem, identified_change(problem, log))`` is what LQR, MPC, sets
+    and every co-design take, with the constant where the disturbance states its mean.
 
     Parameters
     ----------
@@ -190,6 +190,7 @@ def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Traje
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     errors = errors_of([residuals(problem.model, log, met=True) for log in given], None)
+    in_problem(problem, errors)
     return IdentifiedPlant(problem.model, fitted_change(errors, problem.state_scale))
 
 

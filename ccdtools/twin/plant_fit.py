@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,7 @@ class FitStatus(Outcome):
     SOLVED = "Solved: nothing near is likelier, and the log tells every combination of the parameters."
     OPEN = (
         "The log leaves combinations of parameters open, see `open`. State a plant with fewer of them, measure another "
-        "output, or excite what distinguishes them."
+        "output, or excite what distinguishes them: `plan_experiment` says by what."
     )
     LASTING = (
         "Errors last: they have a mean, or one tells the next. So the log may mistake a disturbance for dynamics. "
@@ -138,6 +138,9 @@ class PlantFit(Immutable):
     unknown: UnknownPlant
     freedom: float = np.inf
     left_out: tuple[int, int] = (0, 0)
+    information: Information = field(repr=False, kw_only=True)  # of which `covariance` is what the errors leave
+    errors: tuple[Array, Array, Array] | None = field(default=None, repr=False, kw_only=True)
+    # of states: their sizes (nx,), second moments in these (nx, nx), and moments (m, m) of the slopes of the criterion
 
     def __repr__(self) -> str:
         rows = zip(self.names, self.values, self.deviations)
@@ -178,6 +181,24 @@ class PlantFit(Immutable):
         lost = "{} of {} runs diverged and are left out: the fit does not know what they met.".format(*self.left_out)
         left_out = [lost] if self.left_out[0] else []
         return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open), *left_out])
+
+    def with_log(self, problem: CoDesignProblem, log: Trajectory) -> PlantFit:
+        """Fit with one more log, at these values and errors."""
+        errors = self.errors
+        if errors is None:
+            given = OutputLog(log.outputs, log.inputs, log.design)
+            part: Any = _innovations(problem, self.unknown, given, len(self.names) > len(self.unknown.free))
+        else:
+            step = self.unknown.functions(problem, log.design)[0]
+            part = StateErrors.of(step, mean_disturbance(problem), errors[0], log.states, log.inputs)
+        more = _rows(*part.at(self.values)) * self.information.units
+        known = replace(self.information, slopes=np.vstack([self.information.slopes, more]))
+        covariance = known.covariance(1.0)
+        if errors is not None:
+            J = part.predicted(self.values)[1].reshape(-1, len(errors[0]), len(self.values))
+            errors = (*errors[:2], errors[2] + np.einsum("nim,ij,njk->mk", J, errors[1], J))
+            covariance = _left_by(errors, covariance, problem.state_scale)
+        return replace(self, covariance=covariance, open=_open(known, self.unknown), information=known, errors=errors)
 
     def intervals(self, level: float = 0.95) -> Array:
         """Confidence intervals (m, 2), by Student's distribution."""
@@ -245,9 +266,9 @@ def fit_plant(
         raise InputError("logs", shown(logs), "at least one log")
     scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
     if output is None:
-        errors = [residuals(problem.model, log) for log in several]  # which checks the logs
-        in_problem(problem, errors)
-        p, measured = errors[-1].p, sum(log.e_next[:, 1:].size for log in errors)
+        seen = [residuals(problem.model, log) for log in several]  # which checks the logs
+        in_problem(problem, seen)
+        p, measured = seen[-1].p, sum(log.e_next[:, 1:].size for log in seen)
     else:
         given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
         p, measured = given[-1].design, sum(int(np.isfinite(log.outputs).sum()) for log in given)
@@ -257,34 +278,58 @@ def fit_plant(
     if measured < len(names):
         got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
+    errors: Any = None
     with np.errstate(all="ignore"):  # a filter may diverge
         if output is None:
-            found, z, left, rounding = _of_states(problem, unknown, several)
+            found, z, left, size = _of_states(problem, unknown, several)
         else:
             found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], len(noises))
             z = found.largest()
         values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
-    slopes = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
-    known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
-    open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(noises))
+    told = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
+    known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], told)
+    open_ = _open(known, unknown)
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held[: len(unknown.free)].any() else FitStatus.SOLVED
     status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
     covariance, freedom = known.covariance(1.0), np.inf
     if output is None:
-        told = np.isfinite(covariance).all(axis=1)
-        inverse = np.where(np.outer(told, told), covariance, 0.0)
-        moved = np.concatenate([part.scores(values, inverse) for part in found.parts]) @ inverse
-        covariance = np.where(np.outer(told, told), moved.T @ moved + rounding**2 * inverse, covariance)
-        freedom = max(len(moved) - len(names), 1)
-        once = np.concatenate(
-            [part.of_one_step(values[: len(unknown.free)])[0].reshape(-1, len(noises)) for part in found.parts]
-        )
-        carried = held[len(unknown.free) :] & ((once**2).mean(axis=0) > 1.0)  # whole, and more than rounding
-        lasting = _lasting(left) or carried.any()
+        scores = np.concatenate([part.scores(values, _inverse(covariance)) for part in found.parts])
+        flat = np.concatenate([one.reshape(-1, len(size)) for one in left])
+        errors = (size, flat.T @ flat / len(flat), scores.T @ scores)
+        covariance = _left_by(errors, covariance, problem.state_scale)
+        freedom = max(len(scores) - len(names), 1)
+        m = len(unknown.free)
+        lasting = _lasting(left) or _carried_whole(found.parts, values[:m], held[m:])
     else:
         lasting = _lasting([part.normalised(values) for part in found.parts], lags=(1, 2, 4, 8))
     status = FitStatus.LASTING if status is FitStatus.SOLVED and lasting else status
-    return PlantFit(names, values, covariance, status, open_, squares / measured, unknown, freedom, _left_out(several))
+    return PlantFit(
+        names, values, covariance, status, open_, squares / measured, unknown, freedom, _left_out(several),
+        information=known, errors=errors,
+    )  # fmt: skip
+
+
+def _open(known: Information, unknown: UnknownPlant) -> tuple[dict[str, float], ...]:
+    """Open combinations, but for those of noise alone."""
+    return tuple(one for one in known.named(1.0) if set(one) & set(unknown.free))
+
+
+def _carried_whole(parts: Sequence[StateErrors], theta: Array, held: Mask) -> bool:
+    """Whether an error of more than rounding is all carried on."""
+    once = np.concatenate([part.of_one_step(theta)[0].reshape(-1, len(held)) for part in parts])
+    return bool((held & ((once**2).mean(axis=0) > 1.0)).any())
+
+
+def _left_by(errors: tuple[Array, Array, Array], covariance: Array, scale: Array) -> Array:
+    """Covariance (m, m) that errors of states leave."""
+    inverse = _inverse(covariance)
+    rounding = (NEGLIGIBLE * scale / errors[0]).max() ** 2 * inverse
+    return np.where(np.isfinite(covariance), inverse @ errors[2] @ inverse + rounding, covariance)
+
+
+def _inverse(covariance: Array) -> Array:
+    """Covariance (m, m) with 0 where nothing is told."""
+    return np.where(np.isfinite(covariance), covariance, 0.0)
 
 
 def _left_out(logs: list[Any]) -> tuple[int, int]:
@@ -306,6 +351,11 @@ def _lasting(
     found = np.abs(means)
     chance = norm.isf(level / found.size / 2) / np.sqrt(counts)[:, None]
     return bool((found > np.maximum(chance, size)).any())
+
+
+def _rows(r: Array, s: Array, dr: Array, ds: Array) -> Array:
+    """Root (2 N, m) of Fisher's information."""
+    return np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
 
 
 class _Likelihood:
@@ -332,10 +382,10 @@ class _Likelihood:
         if self._last is None or self._last[0] != key:
             r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
             dr, ds, square = dr * self.units, ds * self.units, r**2 / s
+            rows = np.linalg.qr(_rows(r, s, dr, ds), mode="r")
             cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
             slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
-            rows = np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
-            self._last = key, (cost, slope, np.asarray(np.linalg.qr(rows, mode="r")), float(square.sum()))
+            self._last = key, (cost, slope, np.asarray(rows), float(square.sum()))
         return self._last[1]
 
     def largest(self, steps: int = 5) -> Array:
@@ -380,8 +430,8 @@ class _Likelihood:
 
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
-) -> tuple[_Likelihood, Array, list[Array], float]:
-    """Criterion, its least point, the errors left there, and what counts as rounding in their size.
+) -> tuple[_Likelihood, Array, list[Array], Array]:
+    """Criterion, its least point, the errors left there, and their size (nx,).
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.
@@ -397,7 +447,7 @@ def _of_states(
         left = [part.predicted(found.values(z))[0] for part in parts]
         square = np.concatenate([(size * e).reshape(-1, len(size)) ** 2 for e in left]).mean(axis=0)
         last, size = size, np.sqrt(square + (NEGLIGIBLE * problem.state_scale) ** 2)
-    return found, z, left, float((NEGLIGIBLE * problem.state_scale / last).max())
+    return found, z, left, last
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:

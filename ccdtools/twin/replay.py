@@ -184,6 +184,7 @@ def updated_problem(
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
+    in_problem(problem, twin.logs)
     logs = twin.innovations()
     window = min(problem.steps, min(log.steps for log in logs)) if window is None else as_count("window", window)
     steps = window + as_count("warm_up", warm_up, least=0)

@@ -60,6 +60,8 @@ class NonlinearMPC(Immutable):
         to rate limits; near rest it is so of the model, too, as far as that is linear.
     disturbances : int
         nw, of a disturbance w that `solve` is given over the horizon; 0 where it is not.
+    mean : (nw,) array, optional
+        Disturbance where a call names none; the rest that stands for 0 is that of the linearisation. See `LinearMPC`.
     p : (np,) array
         Parameters of the model; `with_parameters` changes them without building anew.
     iterations : int, optional
@@ -113,6 +115,7 @@ class NonlinearMPC(Immutable):
     rate_limit: Any = field(default=None, kw_only=True)
     soft: tuple[float, float] | None = field(default=None, kw_only=True)
     disturbances: int = field(default=0, kw_only=True)
+    mean: Any = field(default=None, kw_only=True)
     p: Any = field(default=(), kw_only=True)
     iterations: int | None = field(default=None, kw_only=True)
     most_iterations: int = field(default=300, kw_only=True)
@@ -145,7 +148,8 @@ class NonlinearMPC(Immutable):
 
     def _set_phase(self, phase: Phase) -> None:
         """Take sizes, horizon and model from a phase, which states everything but rates."""
-        own = ("states", "inputs", "Q", "R", "S", "P", "X", "U", "terminal_set", "soft", "iterations", "disturbances")
+        own = ("states", "inputs", "Q", "R", "S", "P", "X", "U", "terminal_set", "soft", "iterations", "disturbances",
+               "mean")  # fmt: skip
         for name in own:
             if getattr(self, name) is not type(self).__dataclass_fields__[name].default:
                 raise InputError(name, "an argument beside a phase", "none", "State it in the phase.")
@@ -185,7 +189,7 @@ class NonlinearMPC(Immutable):
             law = MPCProblem(
                 A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
                 terminal_set=None if self._invariant else self.terminal_set, rate_limit=self.rate_limit, soft=self.soft,
-                uses=self.uses,
+                uses=self.uses, mean=self.mean,
             )  # fmt: skip
         except NotStabilisableError as error:
             if self.P is not None:

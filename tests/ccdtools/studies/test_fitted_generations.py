@@ -269,3 +269,19 @@ def test_a_redesign_that_gains_less_than_the_law_by_the_logs_is_taken_back():
     assert second.update.mean > second.gain.mean
     assert second.update.mean == pytest.approx((after - before).mean(), rel=0.25)
     assert "taken back" in str(second)
+
+
+@pytest.mark.parametrize("measurement", [None, stated().measurement])
+def test_a_deployment_that_loses_every_run_is_the_last_and_says_so(measurement):
+    x, u, w, k = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k")
+    pushed_away = Plant(x, u, w, k, [x[1], (30 - k) * x[0] + u + w], BOX, dt=0.33)  # stronger than U
+    problem, elsewhere = replace(stated(), measurement=measurement), replace(real(1.0), plant=pushed_away)
+    rng = np.random.default_rng(0)
+    (only,) = fitted_generations(
+        problem, elsewhere, method=Nested("lqr", starts=1) if measurement is None else Nested("lqg", starts=1),
+        generations=3, rng=rng,
+    )  # fmt: skip
+    assert only.status.name == "LOST"
+    assert only.log.states.shape[0] == 40
+    assert "design=, method=" in str(only)
+    assert "Every run diverged" in only.status.advice

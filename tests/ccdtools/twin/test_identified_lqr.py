@@ -21,6 +21,7 @@ from ccdtools import (
     codesign,
     deploy,
     discretise,
+    linear_mpc,
     saturated_lqr,
 )  # fmt: skip
 from ccdtools.twin import (
@@ -178,6 +179,17 @@ def test_every_method_takes_the_model_that_a_log_tells():
     law, known = saturated_lqr(updated, DESIGN), identified_lqr(problem, DESIGN, log)
     np.testing.assert_allclose(law.K, known.K, rtol=1e-9)
     np.testing.assert_allclose(law.offset, known.offset, rtol=1e-6)
+
+
+def test_mpc_of_what_a_log_tells_is_that_of_the_real_plant():
+    problem, real = replace(problem_of(), U=(-0.8, 0.3)), oscillator(1.6, 0.4)
+    updated = updated_problem(problem, identified_change(problem, logged(problem, real, wandering)))
+    pushed = FixedStart([0.5, 0.5], Gaussian([0.1], [0.4]))
+    truth = replace(problem, model=discretise(oscillator(1.6)), scenarios=pushed)
+    states = np.random.default_rng(0).uniform(-1, 1, (20, 2))
+    found, known = (linear_mpc(one, DESIGN)(states) for one in (updated, truth))
+    assert {-0.8, 0.3} <= set(known.round(6).ravel())
+    np.testing.assert_allclose(found, known, atol=1e-4)
 
 
 def test_a_design_is_found_for_what_a_log_tells():

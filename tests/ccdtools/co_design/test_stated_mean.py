@@ -1,0 +1,152 @@
+"""A disturbance's stated mean in MPC and sets, as in LQR."""
+
+from dataclasses import replace
+
+import casadi as ca
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    admissible_inputs,
+    discretise,
+    expert_dataset,
+    feasible_sets,
+    linear_mpc,
+    nonlinear_mpc,
+    saturated_lqr,
+)  # fmt: skip
+from invariant_sets import maximal_control_invariant_set
+from mpc import LinearMPC, lqr
+
+DESIGN, Q, R = [2.0], np.diag([1.0, 0.1]), np.array([[0.05]])
+SPACE = DesignSpace(["k"], [0.5], [5.0])
+
+
+def problem_of(mean=0.4, *, U=(-9.0, 9.0), X=(-9.0, 9.0), swing=False):
+    """A spring, or a pendulum, pushed by a disturbance with a mean."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    back = ca.sin(x[0]) if swing else x[0]
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], -p * back - 0.3 * x[1] + u + w), SPACE, dt=0.1)
+    return CoDesignProblem(discretise(plant), X=X, U=U, objective=QuadraticObjective(Q, R), steps=100,
+                           scenarios=FixedStart([0.5, 0.0], Gaussian([0.01], [mean])))  # fmt: skip
+
+
+def pushed(problem):
+    """A, B and what the mean adds to each step."""
+    A, B, E = problem.model.matrices(np.array(DESIGN))
+    return A, B, E @ problem.mean_disturbance
+
+
+@pytest.mark.parametrize("horizon", [1, 7, 20])
+def test_mpc_within_its_limits_is_lqr_with_its_offset(horizon):
+    problem = problem_of()
+    states = np.random.default_rng(0).uniform(-0.5, 0.5, (20, 2))
+    mpc, law = linear_mpc(problem, DESIGN, horizon=horizon), saturated_lqr(problem, DESIGN)
+    assert abs(law.offset[0]) > 0.1
+    np.testing.assert_allclose(mpc(states), law(states), atol=1e-7)
+
+
+@pytest.mark.parametrize("solver", ["daqp", "clarabel"])
+def test_mpc_at_its_limits_is_the_program_of_the_affine_model(solver):
+    problem = problem_of(U=(-0.6, 0.2), X=([-0.15, -0.5], [1.5, 0.5]))
+    A, B, c = pushed(problem)
+    weights = problem.objective.weights(np.array(DESIGN), 2, 1)
+    K, P = lqr(A, B, Q=weights.Q, R=weights.R)
+    ahead = np.linalg.solve((np.eye(2) - A + B @ K).T, P @ c)
+    slope = 2 * (A - B @ K).T @ ahead  # x'Px + slope'x is what LQR costs from x on, less a constant
+    mpc = replace(linear_mpc(problem, DESIGN, horizon=12), solver=solver)
+    for start in ([0.5, 0.0], [0.4, -0.4], [0.1, 0.4]):
+        u, x = cp.Variable((12, 1)), cp.Variable((13, 2))
+        cost = sum(cp.quad_form(x[k], weights.Q) + cp.quad_form(u[k], weights.R) for k in range(12))
+        rules = [x[0] == start, u >= -0.6, u <= 0.2]
+        rules += [x[1:] >= np.array([[-0.15, -0.5]]), x[1:] <= np.array([[1.5, 0.5]])]
+        rules += [x[k + 1] == A @ x[k] + B @ u[k] + c for k in range(12)]
+        cp.Problem(cp.Minimize(cost + cp.quad_form(x[12], P) + slope @ x[12]), rules).solve(solver="CLARABEL")
+        plan = mpc.solve(start)
+        assert plan.status.name == "SOLVED"
+        np.testing.assert_allclose(plan.inputs, u.value, atol=2e-5)
+        np.testing.assert_allclose(plan.states, x.value, atol=2e-5)
+
+
+def test_the_explicit_law_is_the_online_one():
+    problem = problem_of(U=(-0.6, 0.2), X=(-1.5, 1.5))
+    mpc = linear_mpc(problem, DESIGN, horizon=4)
+    law, states = mpc.explicit(), np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2))
+    np.testing.assert_allclose(law(states), mpc(states), atol=1e-6)
+
+
+def test_a_call_with_a_disturbance_or_references_of_its_own_goes_by_them():
+    problem = problem_of()
+    A, B, c = pushed(problem)
+    own = problem.weights(np.array(DESIGN)).keywords()
+    plain = LinearMPC(A, B, **own, horizon=5, E=np.eye(2))
+    mpc, x = linear_mpc(problem, DESIGN, horizon=5), [0.3, 0.1]
+    at = {"x_ref": [0.1, 0.0], "u_ref": [0.2]}
+    np.testing.assert_allclose(mpc(x, **at), plain(x, w=c, **at), atol=1e-9)
+    np.testing.assert_allclose(mpc(x, w=0 * c, **at), plain(x, **at), atol=1e-9)
+    np.testing.assert_allclose(mpc(x, x_ref=[0.1, 0.0]), plain(x, w=c, x_ref=[0.1, 0.0]), atol=1e-9)
+
+
+def test_what_a_mean_does_not_go_with_is_named():
+    problem = problem_of()
+    A, B, c = pushed(problem)
+    for wrong in ({}, {"E": np.eye(2), "W": (-0.1 * np.ones(2), 0.1 * np.ones(2)), "X": (-9, 9), "U": (-9, 9)}):
+        with pytest.raises(InputError, match=r"mean.*(without E|beside W)"):
+            LinearMPC(A, B, Q=Q, R=R, horizon=5, mean=c, **wrong)
+    with pytest.raises(InputError, match=r"mean.*\(2,\)"):
+        LinearMPC(A, B, Q=Q, R=R, horizon=5, E=np.eye(2), mean=c[:1])
+    with pytest.raises(InputError, match=r"mean.*x_ref and u_ref"):
+        linear_mpc(problem, DESIGN).sensitivity([0.1, 0.0], dA=np.ones((2, 2, 1)))
+    assert linear_mpc(problem, DESIGN).sensitivity([0.1, 0.0]).status.name == "SMOOTH"
+
+
+def test_sets_are_those_about_the_rest():
+    problem = problem_of(U=(-1.0, 1.0), X=(-1.0, 1.0))
+    A, B, c = pushed(problem)
+    rest = np.linalg.lstsq(np.hstack([A - np.eye(2), B]), -c, rcond=None)[0]
+    X, U = ((-1.0 - at, 1.0 - at) for at in (rest[:2], rest[2:]))
+    about = maximal_control_invariant_set(A, B, X, U).set
+    found = feasible_sets(problem).result(DESIGN).set
+    directions = np.random.default_rng(0).standard_normal((40, 2))
+    np.testing.assert_allclose(found.support(directions), about.support(directions) + directions @ rest[:2], atol=1e-6)
+    without = feasible_sets(problem_of(0.0, U=(-1.0, 1.0), X=(-1.0, 1.0))).result(DESIGN).set
+    assert not found.is_subset(without)
+
+    kept = admissible_inputs(problem, DESIGN)
+    corner = found.vertices[np.argmax(found.vertices @ np.ones(2))] * 0.999
+    u, possible = kept.project(corner, [1.0])
+    assert possible
+    assert found.contains(A @ corner + B @ u + c, tol=1e-6)
+
+
+@pytest.mark.check
+def test_the_experts_data_stay_within_the_sets_of_the_pushed_plant():
+    problem = problem_of(U=(-1.0, 1.0), X=(-1.0, 1.0))
+    data = expert_dataset(problem, samples=40, designs=2, rng=np.random.default_rng(0))
+    A, B, _ = problem.model.matrices(data.inputs[:, 2:])
+    E = problem.model.matrices(data.inputs[:, 2:])[2]
+    after = np.einsum("nij,nj->ni", A, data.inputs[:, :2]) + np.einsum("nij,nj->ni", B, data.actions)
+    after += E @ problem.mean_disturbance
+    assert (np.abs(after) <= 1 + 1e-6).mean() > 0.98
+
+
+def test_nonlinear_mpc_settles_where_the_cost_is_least():
+    problem = problem_of(0.4, swing=True)
+    law = nonlinear_mpc(problem, DESIGN, horizon=20, iterations=None)
+    x, w, p = np.array([0.5, 0.0]), np.array([0.4]), np.array(DESIGN)
+    for _ in range(150):
+        u = law(x)
+        x = np.asarray(problem.model.advance(x, u, w, p))
+    np.testing.assert_allclose(problem.model.advance(x, law(x), w, p), x, atol=1e-5)
+    angles = np.linspace(0.0, 0.5, 20001)
+    inputs = 2.0 * np.sin(angles) - 0.4
+    best = np.min(Q[0, 0] * angles**2 + R[0, 0] * inputs**2)
+    assert x @ Q @ x + u @ R @ u < 1.001 * best

@@ -1,0 +1,134 @@
+"""Logs as a stranger's recorder leaves them, kind by kind, at each function that takes one."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    DigitalTwin,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    deploy,
+    discretise,
+    saturated_lqr,
+)
+from ccdtools.exceptions import LimitWarning
+from ccdtools.twin import (
+    disturbance_set,
+    drift_of_log,
+    fit_plant,
+    identified_change,
+    identified_lqr,
+    identified_plant,
+    outside_data,
+    replay_problem,
+    robust_mpc,
+    updated_problem,
+)
+
+x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+PLANT = Plant(x, u, w, p, ca.vertcat(x[1], -p * x[0] - 0.4 * x[1] + u + w), DesignSpace(["k"], [1.0], [5.0]), dt=0.1)
+PROBLEM = CoDesignProblem(discretise(PLANT), X=(-4, 4), U=(-3, 3), objective=QuadraticObjective(np.eye(2), [[0.1]]),
+                          scenarios=FixedStart([1.0, 0.0], Gaussian([0.3])), steps=50)  # fmt: skip
+W = Gaussian([0.3]).sample(20, 100, np.random.default_rng(0))
+LOG = deploy(PLANT, saturated_lqr(PROBLEM, [2.0]), [2.0], W, x0=[1.0, 0.0])
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def taught(log):
+    return DigitalTwin(PROBLEM.model).update(log, weight=0.1 * np.eye(2), rng=rng())
+
+
+TWIN = taught(LOG)
+
+
+def changed(name, value, at=(0, 30)):
+    """Log with one value of a column replaced."""
+    column = np.array(getattr(LOG, name))
+    column[at] = value
+    return replace(LOG, **{name: column})
+
+
+def short(runs, steps):
+    """First runs and steps of the log."""
+    columns = {name: getattr(LOG, name)[:runs, :steps] for name in ("inputs", "disturbances")}
+    return replace(LOG, states=LOG.states[:runs, : steps + 1], diverged_at=LOG.diverged_at[:runs], **columns)
+
+
+OF_PROBLEM = {
+    "fit_plant": lambda log: fit_plant(PROBLEM, log),
+    "identified_change": lambda log: identified_change(PROBLEM, log),
+    "identified_lqr": lambda log: identified_lqr(PROBLEM, [2.0], log),
+    "identified_plant": lambda log: identified_plant(PROBLEM, log),
+    "replay_problem": lambda log: replay_problem(PROBLEM, log, 20),
+}
+FUNCTIONS = OF_PROBLEM | {
+    "robust_mpc": lambda log: robust_mpc(PROBLEM, [2.0], log, level=0.9, horizon=5, rng=rng()),
+    "update": taught,
+    "remembering": lambda log: DigitalTwin(PROBLEM.model).remembering(log),
+    "disturbance_set": lambda log: disturbance_set(log, level=0.9, model=PROBLEM.model),
+    "drift_of_log": lambda log: drift_of_log(TWIN, log),
+    "outside_data": lambda log: outside_data(TWIN, log),
+}
+WRONG = {
+    "a gap": (lambda: changed("states", np.nan), "states"),
+    "an infinite state": (lambda: changed("states", np.inf), "states"),
+    "a gap of inputs": (lambda: changed("inputs", np.nan), "inputs"),
+    "another rate": (lambda: replace(LOG, dt=0.2), r"dt = 0\.2"),
+    "a missing state": (lambda: replace(LOG, states=LOG.states[:, :, :1]), "1 states"),
+    "a missing input": (lambda: replace(LOG, inputs=LOG.inputs[:, :, :0]), "0 inputs"),
+    "no runs": (lambda: short(0, 100), "at least one"),
+    "only lost runs": (lambda: replace(LOG, diverged_at=LOG.diverged_at * 0 + 3), "all diverged"),
+    "another design": (lambda: replace(LOG, design=np.array([2.0, 1.0])), "design"),
+    "a design outside its box": (lambda: replace(LOG, design=np.array([9.0])), "design"),
+    "nothing": (lambda: None, "log|twin"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_a_wrong_log_is_named(function, kind):
+    log, said = WRONG[kind]
+    given = log()
+    with pytest.raises(InputError, match=said):
+        FUNCTIONS[function](given)
+
+
+@pytest.mark.parametrize("function", OF_PROBLEM)
+def test_a_stuck_sensor_and_other_units_are_told(function):
+    stuck = np.array(LOG.states)
+    stuck[:, 20:80, 1] = stuck[:, 20:21, 1]
+    with pytest.warns(UserWarning, match="x2 repeats"):
+        OF_PROBLEM[function](replace(LOG, states=stuck))
+    small = replace(LOG, states=1000 * LOG.states)
+    with pytest.warns(LimitWarning, match="lie outside X"):
+        OF_PROBLEM[function](small)
+
+
+def test_a_twin_of_a_log_with_a_stuck_sensor_is_told_where_a_problem_takes_it():
+    stuck = np.array(LOG.states)
+    stuck[:, 20:80, 1] = stuck[:, 20:21, 1]
+    with pytest.warns(UserWarning, match="x2 repeats"):
+        updated_problem(PROBLEM, taught(replace(LOG, states=stuck)))
+
+
+@pytest.mark.parametrize("function", ["fit_plant", "update", "disturbance_set", "robust_mpc", "replay_problem"])
+def test_too_little_data_is_said(function):
+    with pytest.raises(InputError, match=r"at least|longer|lower|longest"):
+        FUNCTIONS[function](short(1, 2))
+
+
+def test_too_little_data_for_a_drift_are_a_status():
+    found = drift_of_log(TWIN, short(1, 2))
+    assert found.found is None
+    assert found.samples == 0
