@@ -73,6 +73,8 @@ class Settling:
                 result = replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
             elif unforeseen:
                 return replace(result, status=CoDesignStatus.UNFORESEEN)
+        elif _learned(result.controller) and not loop.lost.any():
+            result = replace(result, baselines=tuple(self._linear(result, loop)))
         if unforeseen:
             result = replace(result, notes=(*result.notes, CoDesignStatus.UNFORESEEN.advice))
         if not result.status.settled:
@@ -153,11 +155,7 @@ class Settling:
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
         """LQR of the design, MPC beside a policy where its few runs decide, and nested LQR, within limits."""
-        found = []
-        for name, lqr in self._linear_laws(result.design):
-            if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
-                found.append(self._baseline(name, lqr, result.design, loop, None))
-        found += self._constant(result.design, loop)
+        found = [*self._linear(result, loop), *self._constant(result.design, loop)]
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if _learned(result.controller) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
@@ -172,6 +170,13 @@ class Settling:
             others = [one for one in self._references(result) if one.name != result.method]
             found += [self._nested(other, start, loop) for other in others for start in starts]
         return [one for one in found if one is not None]
+
+    def _linear(self, result: CoDesignResult, loop: ClosedLoopReturns) -> Iterator[Baseline]:
+        """LQR of the design, but for the controller itself."""
+        for name, lqr in self._linear_laws(result.design):
+            if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
+                kept = self._baseline(name, lqr, result.design, loop, None)
+                yield from [] if kept is None else [kept]
 
     def _constant(self, design: Array, loop: ClosedLoopReturns) -> list[Baseline]:
         """Best constant inputs, if they return more.

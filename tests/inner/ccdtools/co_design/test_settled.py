@@ -31,6 +31,7 @@ from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import JumpWarning
+from learning import ActorCritic
 from mpc import lqr
 
 BEST = 0.357  # kg, of the mass
@@ -182,6 +183,17 @@ def test_other_statuses_stay_what_the_method_says(problem):
     found = claimed(problem, BEST, K, status=CoDesignStatus.BUDGET_SPENT)
     assert found.status is CoDesignStatus.BUDGET_SPENT
     assert found.baselines == ()
+
+
+def test_a_policy_that_has_not_settled_is_told_beside_lqr(problem):
+    policy = LearnedPolicy(ActorCritic(*problem.observation_bounds, *problem.input_bounds, seed=0), [BEST])
+    method = Claims(BEST, policy, CoDesignStatus.BUDGET_SPENT)
+    found = codesign(problem, method=method, rng=np.random.default_rng(0))
+    assert found.status is CoDesignStatus.BUDGET_SPENT
+    (lqr,) = found.baselines
+    assert lqr.name == "LQR of the same design"
+    assert lqr.gain.ci95[0] > 0.005  # nothing was learned
+    assert any("beside it, LQR of the same design: +" in line for line in found.describe())
 
 
 def test_lost_runs_are_told_of_every_method(problem):
