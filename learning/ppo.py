@@ -301,41 +301,41 @@ class PPO:
         """One update on one rollout; `actor=False` trains the critic only."""
         check_instance(rollout, "rollout", Rollout)
         check_instance(generator, "generator", torch.Generator)
-        agent = self.agent
-        config = self.config
+        agent, config = self.agent, self.config
         batch = prepare(agent, rollout, config)
-        variance = batch.targets.var(correction=0).item()
-        residual = (batch.targets - batch.values).var(correction=0).item()
+        variance, residual = (e.var(correction=0).item() for e in (batch.targets, batch.targets - batch.values))
         if config.running_scales:
             self._rescale_values(batch.targets)
-        self._actor.gather()
-        self._critic.gather()
-        rows: list[tuple[float, ...]] = []
-        passes = 0
-        for _ in range(config.passes):
-            rows = []
-            order = torch.randperm(len(batch.targets), generator=generator).to(batch.targets.device)
-            for part in _parts(batch, order, config.minibatch):
-                losses = ppo_losses(agent, part, config)
-                norm = self._step(losses, actor=actor and losses.kl < 1.5 * config.kl_limit)
-                rows.append((losses.kl, losses.clip_fraction, losses.entropy.item(), norm))
-            passes += 1
-            if actor and np.mean(rows, axis=0)[0] > config.kl_limit:
-                break
+        with self._actor.held(), self._critic.held():
+            *before, rows = self._passes(batch, generator, actor)
         if config.running_scales:
             agent.see(rollout.observations, given=self.given)
         kl, outside, entropy, _ = (float(mean) for mean in np.mean(rows, axis=0))
         norm = float(np.mean([norm for *_, norm in rows if not np.isnan(norm)] or [np.nan]))
         explained = 1.0 - residual / variance if variance > 0 else float("nan")
-        return UpdateStatistics(kl, outside, explained, entropy, norm, passes)
+        return UpdateStatistics(kl, outside, explained, entropy, norm, len(before) + 1)
+
+    def _passes(self, batch: Batch, generator: torch.Generator, actor: bool) -> Iterator[list[tuple[float, ...]]]:
+        """What each step of a pass did."""
+        config = self.config
+        for _ in range(config.passes):
+            rows: list[tuple[float, ...]] = []
+            order = torch.randperm(len(batch.targets), generator=generator).to(batch.targets.device)
+            for part in _parts(batch, order, config.minibatch):
+                losses = ppo_losses(self.agent, part, config)
+                norm = self._step(losses, actor=actor and losses.kl < 1.5 * config.kl_limit)
+                rows.append((losses.kl, losses.clip_fraction, losses.entropy.item(), norm))
+            yield rows
+            if actor and np.mean(rows, axis=0)[0] > config.kl_limit:
+                return
 
     def _rescale_values(self, targets: Tensor) -> None:
         """Move the unit of values towards that of these targets."""
         self._rescaled += 1
         share = max(1.0 / self._rescaled, SCALE_MEMORY)
-        agent = self.agent
         mean, std = targets.mean(), targets.std(correction=0).clamp(min=LEAST_SPREAD)
-        agent.rescale_values(agent.value_offset.lerp(mean, share), agent.value_scale.lerp(std, share))
+        offset, scale = self.agent.value_offset, self.agent.value_scale
+        self.agent.rescale_values(offset.lerp(mean, share), scale.lerp(std, share))
 
     def _step(self, losses: Losses, *, actor: bool) -> float:
         """Norm of the actor's gradient, after one clipped step; NaN if only the critic has made one."""

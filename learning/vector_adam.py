@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -12,15 +13,20 @@ class VectorAdam:
     """Parameters as parts of one vector, which Adam moves at once."""
 
     def __init__(self, parameters: list[nn.Parameter], rate: float) -> None:
-        self.parameters = parameters
-        self.vector = nn.utils.parameters_to_vector(parameters).detach()
+        self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
+        self.vector = nn.utils.parameters_to_vector(self.parameters).detach()
         self.adam = torch.optim.Adam([self.vector], lr=rate, fused=True)
 
-    @torch.no_grad()
-    def gather(self) -> None:
-        """Take the parameters as they are, which may have been set or moved."""
-        self.vector.copy_(nn.utils.parameters_to_vector(self.parameters))
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Parameters as parts of the vector; afterwards each has its own memory again."""
+        self.vector.copy_(nn.utils.parameters_to_vector(self.parameters).detach())
         nn.utils.vector_to_parameters(self.vector, self.parameters)
+        try:
+            yield
+        finally:
+            for parameter in self.parameters:
+                parameter.data = parameter.data.clone()
 
     def step(self, gradients: Sequence[Tensor], limit: float) -> float:
         """Norm of the gradient, after a step by what is left of it within a limit."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,11 +46,9 @@ class DenseQP:
         Typical size of each entry of b; by default the sizes in b itself, taken anew in every solve.
     second : bool
         Whether Clarabel is asked where DAQP fails; without it the residuals say so.
-    end : float
-        Time of `time.perf_counter` at which DAQP stops [s]; Clarabel cannot be stopped in its set-up.
     """
 
-    def __init__(self, H: Array, G: Array, units: Array | None = None, *, second: bool = True, end: float = np.inf):
+    def __init__(self, H: Array, G: Array, units: Array | None = None, *, second: bool = True):
         self._d = 1 / np.sqrt(np.diag(H))
         self._H = np.ascontiguousarray(H * self._d * self._d[:, None])
         scaled = G * self._d
@@ -62,7 +59,6 @@ class DenseQP:
         self._G = np.ascontiguousarray(scaled[self._rows] * self._r[:, None])
         self._m = len(G)
         self.second = second
-        self._end = end
         self._units = units
         self._size = 0.0 if units is None else _typical(units[self._rows] * self._r)
         self._workspace = threading.local()
@@ -120,8 +116,6 @@ class DenseQP:
             model = daqp.Model()
             # DAQP would give up at a cost beyond 1e30
             model.settings = {"primal_tol": PRIMAL, "iter_limit": DAQP_ITERATIONS, "fval_bound": 1e300}
-            if math.isfinite(self._end):
-                model.settings |= {"time_limit": max(self._end - time.perf_counter(), EPS)}
             lower = np.full(len(b), -NO_BOUND)
             if model.setup(self._H, q, self._G, b, lower, np.zeros(len(b), dtype=np.int32))[0] < 0:
                 return np.full(len(q), np.nan), np.zeros(len(b)), 0

@@ -239,11 +239,7 @@ class LinearMPC(MPCProblem):
 
         given = spread_signals(self, dict(signals))
         plan = self.solve(x, **signals)
-        if self.mean is not None and not {"x_ref", "u_ref"} & {*signals} and any(
-            change is not None for change in (dA, dB, dE, dQ, dR, dS)
-        ):  # fmt: skip
-            cure = "Give x_ref and u_ref."
-            raise InputError("mean", "a rest that moves with the parameters", "derivatives at given references", cure)
+        self.check_rest(signals, moves=any(change is not None for change in (dA, dB, dE, dQ, dR, dS)))
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
         changes = as_changes(self, derivatives)

@@ -99,7 +99,8 @@ class MPCProblem(Immutable):
         if self.E is None or self.W is not None:
             got = "one without E" if self.E is None else "one beside W"
             raise InputError("mean", got, "a mean of what enters by E, without W", "W holds all of the disturbance.")
-        return as_array("mean", self.mean, (self.nw,))
+        mean = as_array("mean", self.mean, (self.nw,))
+        return mean if mean.any() else None
 
     def _close_robustly(self) -> None:
         """Check what W goes with, and find the terminal set where none was given."""
@@ -182,21 +183,30 @@ class MPCProblem(Immutable):
         return shapes if self.nw else {name: shape for name, shape in shapes.items() if name != "w"}
 
     @cached_property
-    def _lasting(self) -> dict[str, Array]:
-        """Mean, and the rest of least cost under it, over the horizon."""
+    def rest(self) -> tuple[Array, Array]:
+        """State (nx,) and input (nu,) of least cost at rest under `mean`."""
         if self.mean is None:
-            return {}
-        x, u = settled(self.A, self.B, self.E @ self.mean, Q=self.Q, R=self.R, S=self.S)
-        values = {"x_ref": x, "u_ref": u, "w": self.mean}
-        return {name: frozen(np.tile(value, (self.signal_shapes[name][0], 1))) for name, value in values.items()}
+            return np.zeros(self.nx), np.zeros(self.nu)
+        return settled(self.A, self.B, self.E @ self.mean, Q=self.Q, R=self.R, S=self.S)
 
     def lasting_beside(self, named: Collection[str]) -> dict[str, Array]:
         """Signals in place of those that a call does not name.
 
         A reference of its own replaces both.
         """
-        own = {*named} | ({"x_ref", "u_ref"} if {"x_ref", "u_ref"} & {*named} else set())
-        return {name: value for name, value in self._lasting.items() if name not in own}
+        if self.mean is None:
+            return {}
+        values = {} if "w" in named else {"w": self.mean}
+        if not {"x_ref", "u_ref"} & {*named}:
+            values |= dict(zip(("x_ref", "u_ref"), self.rest))
+        return {name: np.tile(value, (self.signal_shapes[name][0], 1)) for name, value in values.items()}
+
+    def check_rest(self, signals: dict[str, Any], *, moves: bool) -> None:
+        """Raise an `InputError` where parameters move the rest that stands for a reference."""
+        named = [name for name, value in signals.items() if value is not None]
+        if moves and "x_ref" in self.lasting_beside(named):
+            cure = "Give x_ref and u_ref."
+            raise InputError("mean", "a rest that moves with the parameters", "derivatives at given references", cure)
 
     @cached_property
     def gain(self) -> Array:

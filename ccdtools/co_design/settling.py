@@ -155,7 +155,7 @@ class Settling:
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
         """LQR of the design, MPC beside a policy where its few runs decide, and nested LQR, within limits."""
-        found = [*self._linear(result, loop), *self._constant(result.design, loop)]
+        found: list[Baseline | None] = [*self._linear(result, loop), *self._constant(result.design, loop)]
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if _learned(result.controller) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):

@@ -407,7 +407,8 @@ def _as_folder(folder: str | Path) -> Path:
 
 
 def _check(plan: Plan, seed: int) -> None:
-    """Raise an `InputError` unless designs, limits and objective fit the plants."""
+    """Raise an `InputError` unless designs, limits and objective fit the plants, one of which works."""
+    works, dead = False, None
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
             first = scenario.first(1)
@@ -415,7 +416,11 @@ def _check(plan: Plan, seed: int) -> None:
                 run = plan.simulated(first, Passive(scenario.plant.nu), p)
                 if plan.metrics is not None:
                     metrics_of(plan.metrics, run)
+                works = True
             except SimulatorError as error:  # each controller is told of it
                 run = error.kept if isinstance(error.kept, Trajectory) else stopped_runs(first, p, "").run
+                works, dead = works or run is error.kept or isinstance(error.__cause__, SimulatorError), error
             run.rewards(plan.objective)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)
+    if dead is not None and not works:
+        raise dead  # of a function that never worked

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools_ground.content import content_of
 from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
 from ccdtools_ground.own_process import OwnProcess
 from ccdtools_ground.user_functions import stopped
@@ -177,7 +178,8 @@ def from_gymnasium(
         raise InputError("build", "none", "a function (env, p) that gives the environment a design")
     dt = as_positive("dt", getattr(inner, "dt", 1.0) if dt is None else dt, unit="s")
 
-    advance = _EnvironmentStep(env, read, write, build, design)
+    told = content_of((inner, read, write, build))  # what it holds before its first step
+    advance = _EnvironmentStep(env, read, write, build, told)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
     box = BlackBox(advance, nx=len(x), nu=len(u), dt=dt, design=design, step_limit=step_limit)
     first, again = (box.step(x, u, np.zeros(0), design.project(design.centre)) for _ in range(2))
@@ -193,13 +195,13 @@ def from_gymnasium(
 
 @dataclass(frozen=True, eq=False)
 class _EnvironmentStep:
-    """Step of an environment from any state, which is known by what it holds after a reset."""
+    """Step of an environment from any state, known by the content of what was given."""
 
     env: Any
     read: Callable[[Any], ArrayLike]
     write: Callable[[Any, Array], None]
     build: Callable[[Any, Array], None] | None
-    design: DesignSpace
+    told: str
 
     def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
@@ -218,12 +220,9 @@ class _EnvironmentStep:
         """Box of the inputs that the environment takes."""
         return self.env.action_space
 
-    def as_given(self) -> tuple[Any, ...]:
-        """Environment as it was given, wherever it stands."""
-        inner = _begun(self.env)
-        if self.build is not None:
-            self.build(inner, self.design.project(self.design.centre))
-        return inner, self.read, self.write, self.build
+    def as_given(self) -> tuple[str]:
+        """Content of the environment before its first step."""
+        return (self.told,)
 
 
 def _tell_idle(box: BlackBox, x: Array, actions: Any) -> None:

@@ -26,7 +26,7 @@ class ExperimentStatus(Outcome):
     """Outcome of a plan; the value is the advice."""
 
     FOUND = "Found: deploy `best.controller` from `best.x0`, and fit all logs."
-    LONGER = "No candidate within the limits makes the intervals short enough in these runs: run `best` longer."
+    LONGER = "No candidate within the limits makes the intervals short enough in so many runs: make more (runs=)."
     OPEN = (
         "No candidate within the limits tells the parameters apart: measure another output, or state a plant with "
         "fewer of them."
@@ -130,7 +130,8 @@ def plan_experiment(
     Raises
     ------
     InputError
-        If an argument is of the wrong kind, or the loop diverges on the plant of the fit in every run.
+        If an argument is of the wrong kind, all parameters are at bounds, or the loop loses a run on the plant of the
+        fit.
 
     References
     ----------
@@ -147,7 +148,10 @@ def plan_experiment(
     runs, within = as_count("runs", runs), as_positive("within", within)
     as_generator("rng", rng)
     free = fit.unknown.free
-    names = tuple(name for name in free if not fit.open or any(name in one for one in fit.open))
+    told = zip(free, fit.deviations > 0)  # not of a parameter that a bound holds
+    names = tuple(name for name, loose in told if loose and (not fit.open or any(name in one for one in fit.open)))
+    if not names:
+        raise InputError("fit", "parameters at their bounds alone", "one within its bounds", "State wider bounds.")
     places = np.array([free.index(name) for name in names])
     known = fit.unknown.known(problem, fit.values[: len(free)])
     x0, w = known.scenarios.sample(runs, problem.steps, rng)
@@ -188,8 +192,11 @@ def _candidates(
             excited = Excited(law, share * (upper - lower) / 2 * signal, lower, upper)
             yield f"{words}, {share:.0%} of U's half-width", excited, x0
     if problem.measurement is None:
-        for name, size, axis in zip(problem.state_names, problem.state_scale, np.eye(problem.model.nx)):
-            yield f"Starts half-way to X along {name}", law, np.broadcast_to(size * axis / 2, x0.shape)
+        low, high = problem.state_limits(p).bounding_box()
+        far = np.where(high > -low, high, low)
+        far = np.where(np.isfinite(far), far, problem.state_scale)
+        for name, start in zip(problem.state_names, np.diag(far / 2)):
+            yield f"Starts half-way to X along {name}", law, np.broadcast_to(start, x0.shape)
 
 
 def _signals(steps: int, nu: int, rng: np.random.Generator) -> Iterator[tuple[str, Array]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,12 +35,12 @@ class Settings:
     iterations: int  # at most
     seconds: float  # at most; infinite where there is no limit
     options: dict[str, Any]  # for Ipopt
-    best: bool = True  # whether the best iterate is returned where the solver is stopped, and not the last one
+    each: bool = False  # whether the time is that of each call, whose solver is kept, and goes on from its last iterate
 
     @property
-    def watched(self) -> bool:
-        """Whether iterates are looked at."""
-        return bool(np.isfinite(self.seconds)) or (self.best and self.iterations < USUAL_ITERATIONS)
+    def may_stop(self) -> bool:
+        """Whether iterates are looked at, to keep the best if the solver is stopped."""
+        return not self.each and (self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds)))
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     with ONE_AT_A_TIME:
         solver, watch = solver_of(program, settings)
         if watch is not None:
-            watch.begin(given, settings)
+            watch.begin(given)
         result = solver(**given)
         stats = solver.stats()
     z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
@@ -94,18 +93,20 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
-def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, Watch | None]:
+def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
     """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
+    if np.isfinite(settings.seconds):
+        limits["max_wall_time"] = settings.seconds
     # QAMD, number 6, is for rows that are nearly full: parameters and durations reach every interval of every scenario
     given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": BOTTOMLESS, "mumps_pivot_order": 6}
     ipopt = given | limits | settings.options
     made = program.derivatives.solvers
-    key = repr((sorted(ipopt.items()), settings.watched))
+    key = repr((sorted(ipopt.items()), settings.may_stop))
     if key in made:
         return made[key]  # type: ignore[no-any-return]
     statement, functions = program.derivatives.scaled
-    watch = Watch(len(program.lower), len(program.row_lower)) if settings.watched else None
+    watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.may_stop else None
     plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "inputs_check": False}
     own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
     try:
@@ -115,30 +116,25 @@ def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, Watch | N
             raise
         reason = str(error).strip().splitlines()[-1]
         raise InputError("options", brief(repr(settings.options)), "options that Ipopt knows", reason) from error
-    made[key] = solver, watch
+    if settings.each or not np.isfinite(settings.seconds):  # what is left of a time limit is never the same twice
+        made[key] = solver, watch
     return solver, watch
 
 
-class Watch(ca.Callback):
-    """Callback that stops in time, and keeps the best iterate.
-
-    That is the cheapest feasible one, else the least infeasible.
-    """
+class BestIterate(ca.Callback):
+    """Callback that keeps the cheapest feasible iterate, else the least infeasible."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
         self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": unknowns + 1 + rows}
-        self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)}, Settings(0.0, 0, np.inf, {}))
-        self.construct("watch", {})
+        self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)})
+        self.construct("best", {})
 
-    def begin(self, given: dict[str, Any], settings: Settings) -> None:
+    def begin(self, given: dict[str, Any]) -> None:
         """Forget what was kept."""
         self.z = np.zeros(0)
         self.rank = (np.inf, np.inf)
         self._sides = given["lbg"], given["ubg"]
-        self._best = settings.best
-        self._last = time.perf_counter()
-        self._end, self._longest = self._last + settings.seconds, 0.0
 
     def get_n_in(self) -> int:
         """Number of arguments, for CasADi."""
@@ -158,14 +154,11 @@ class Watch(ca.Callback):
 
     def eval(self, arg: Any) -> list[int]:
         """Look at one iterate."""
-        if self._best:
-            f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
-            rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
-            if rank < self.rank:
-                self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
-        before, self._last = self._last, time.perf_counter()
-        self._longest = max(self._longest, self._last - before)
-        return [int(self._last + self._longest > self._end)]  # one more iteration would probably end too late
+        f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
+        rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
+        if rank < self.rank:
+            self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
+        return [0]
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:

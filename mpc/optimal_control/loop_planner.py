@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from typing import Any
@@ -17,13 +17,13 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
-from mpc.optimal_control.ipopt import WARM, Found, Settings, once
+from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, Pace, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
-from mpc.optimal_control.solving import Run, status_of
+from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.optimal_control.sqp import Local, Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
@@ -69,20 +69,18 @@ class LoopPlanner:
     most: int
     starts: int
     time_limit: float
-    _pace: Pace = field(init=False, default_factory=Pace)
 
     def __post_init__(self) -> None:
+        settings = self._settings
+        if np.isfinite(self.time_limit):  # made before a clock runs
+            for options in ({}, WARM):
+                solver_of(self.loop.program, replace(settings, options=options))
         _ = self.loop.program
 
-    def prepare(self) -> None:
-        """Make solvers before a clock runs."""
-        for tolerance, options in ((1e-8, {}), (1e-8, WARM), (SOLVERS, {})):
-            program = self.loop.program
-            once(program, program.guess, None, replace(self._settings(0.0, tolerance), options=options))
-
-    def _settings(self, seconds: float, tolerance: float = 1e-8) -> Settings:
-        """Settings of the solver."""
-        return Settings(tolerance, self.most, seconds, {}, best=False)
+    @property
+    def _settings(self) -> Settings:
+        """Settings of every call of the solver."""
+        return replace(as_settings(1e-8, self.most, self.time_limit, None), each=True)
 
     @cached_property
     def model(self) -> DiscreteModel:
@@ -129,7 +127,7 @@ class LoopPlanner:
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or at several places."""
-        clock = Clock(self.time_limit, self._pace)
+        clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
             return clock.stamped(found or self._planned(x, given, before, clock))
@@ -142,8 +140,7 @@ class LoopPlanner:
         dear, times, nearing = PRICE * local.force, PRICE if before.status is Status.SOFTENED else 1.0, Nearing()
         for _ in range(self.most if on is not None else 0):
             relaxed = last is not None and last.relaxed
-            step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=on, last=last, end=clock.end)
-            clock.ran()
+            step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=on, last=last)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
                 return None
             if step.error <= KKT:
@@ -174,11 +171,11 @@ class LoopPlanner:
         return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
                     float(over), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
-    def _with_multipliers(self, plan: Plan, x: Array, given: Given, clock: Clock) -> Plan:
+    def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
         relaxed = plan.status is Status.SOFTENED
-        step = next_step(local, PRICE * local.force, relaxed=relaxed, times=PRICE, end=clock.end)
+        step = next_step(local, PRICE * local.force, relaxed=relaxed, times=PRICE)
         if not step.solved:
             return plan
         on = step.multipliers
@@ -187,40 +184,37 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
-        run = Run(program, self._settings(clock.left))
+        run = Run(program, self._settings)
         tried: list[_Tried] = []
         softened = before is not None and before.status is Status.SOFTENED  # from all starts, a sample ago
         if before is not None:
             v = self._unknowns(program, before.states, before.inputs, given)
             tried.append(self._solved(run, program, v, PRICE, warm=True))
-            clock.ended()
-        if not tried or (not clock.up and tried[0].status not in RANKS[: 1 + softened]):
+        if not tried or tried[0].status not in RANKS[: 1 + softened]:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
             tried += self._from_starts(run, program, guesses, 0.0, clock)
-            if not clock.up and all(one.status is not Status.SOLVED for one in tried):
+            if not clock.late and all(one.status is not Status.SOLVED for one in tried):
                 tried += self._from_starts(run, program, guesses, PRICE, clock)
         best = min(tried, key=lambda one: one.rank)
-        if best.violation > KKT and best.status in RANKS[:2] and not clock.up:  # the price may be too low
+        if best.violation > KKT and best.status in RANKS[:2] and not clock.late:  # the price may be too low
             dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
             best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
         if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
-        return self._with_multipliers(plan, x, given, clock) if plan.status in RANKS[:2] else plan
+        return self._with_multipliers(plan, x, given) if plan.status in RANKS[:2] else plan
 
-    def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
-             clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip
-        """States and inputs that are reached, or None.
+    def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
+        """States and inputs that the solver comes to, or None.
 
         Whatever they are, they begin at others, unless these are no numbers.
         """
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
-        settings = self._settings(clock.left, SOLVERS)
+        settings = replace(self._settings, tolerance=SOLVERS)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
-        clock.ended()
         nodes, own, _, _ = program.parts[0].unknowns(found.v)
         return nodes[: len(x)].T.copy(), own.T.copy()
 
@@ -241,8 +235,7 @@ class LoopPlanner:
         """Results from unknowns, as long as there is time."""
         for v in guesses:
             yield self._solved(run, program, v, price, warm=False)
-            clock.ended()
-            if clock.up:
+            if clock.late:
                 return
 
     def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:

@@ -75,8 +75,8 @@ class NonlinearMPC(Immutable):
         the straight way to the reference, then inputs by chance. They are tried again where a plan that is followed
         leads to no optimum, or to a worse one than the linear law's simulation.
     time_limit : float, optional
-        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops before it is up;
-        the plan is then `LATE`, and the next sample goes on from it.
+        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops by itself after as
+        long; the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------
@@ -210,8 +210,6 @@ class NonlinearMPC(Immutable):
         if self._loop is not None:
             planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
             _ = planner.stages  # made before a clock runs
-            if np.isfinite(limit):
-                planner.prepare()
             return planner
         return QuadraticPlanner(
             self.problem, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
@@ -314,6 +312,7 @@ class NonlinearMPC(Immutable):
         """
         x = as_array("x", x, (self.states,))
         self._check_start(start)
+        self.problem.check_rest(signals, moves=len(self.p) > 0)
         given = spread_signals(self.problem, dict(signals))
         planner: Any = self.planner
         to_the_end = replace(planner, iterations=None, time_limit=np.inf)
@@ -404,13 +403,14 @@ class NonlinearMPC(Immutable):
 
 
 def _invariant_set(law: MPCProblem) -> Polytope:
-    """Largest set in which the linearisation keeps X and U under u = -Kx."""
+    """Largest set in which the linearisation keeps X and U under LQR."""
     (HX, hX), (HU, hU) = law.state_rows, law.input_rows
     if not len(hX) + len(hU):
         raise InputError("terminal_set", "'invariant'", "a set, or None", "Without X and U every state is in it.")
-    both = Polytope(np.vstack([HX, -HU @ law.gain]), np.concatenate([hX, hU]))
+    x, u = law.rest
+    both = Polytope(np.vstack([HX, -HU @ law.gain]), np.concatenate([hX - HX @ x, hU - HU @ u]))
     found = maximal_positively_invariant_set(law.A - law.B @ law.gain, both)
     if found.set.is_empty:
         got = f"'invariant', of which none was found ({found.status.name})"
         raise InputError("terminal_set", got, "one about the origin", found.status.advice)
-    return found.set
+    return Polytope(found.set.A, found.set.b + found.set.A @ x)

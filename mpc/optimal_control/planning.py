@@ -18,35 +18,13 @@ Path = tuple[Array, Array]  # states (N + 1, nx) and inputs (N, nu)
 
 
 @dataclass
-class Pace:
-    """Longest times in a sample [s]."""
-
-    program: float = 0.0
-    rest: float = 0.0  # from the end of the last program
-
-
-@dataclass
 class Clock:
-    """Time that is left of a sample."""
+    """Time that is left of a sample, which is asked for before every program."""
 
     limit: float
-    pace: Pace  # of the sample before
     began: float = field(default_factory=time.perf_counter)
-    own: Pace = field(default_factory=Pace)
-
-    def __post_init__(self) -> None:
-        self._asked = self._last = self.began
-
-    @property
-    def end(self) -> float:
-        """Time by which programs end [s]."""
-        # twice what followed the last one a sample ago is kept
-        return self.began + self.limit - 2 * self.pace.rest
-
-    @property
-    def left(self) -> float:
-        """Time for programs [s]."""
-        return self.end - time.perf_counter()
+    asked: float = field(default_factory=time.perf_counter)
+    longest: float = 0.0
 
     @property
     def late(self) -> bool:
@@ -56,26 +34,14 @@ class Clock:
     @property
     def up(self) -> bool:
         """Whether one more program would probably end too late."""
-        self._asked = time.perf_counter()
-        return self.left < max(self.own.program, self.pace.program)
-
-    def ran(self) -> None:
-        """Count a program."""
-        self.own.program = max(self.own.program, time.perf_counter() - self._asked)
-        self.ended()
-
-    def ended(self) -> None:
-        """Count what follows."""
-        # what a program took too long counts, too
-        self._last = min(time.perf_counter(), self.end)
+        before, self.asked = self.asked, time.perf_counter()
+        self.longest = max(self.longest, self.asked - before)
+        return self.asked + self.longest - self.began > self.limit
 
     def stamped(self, plan: Plan) -> Plan:
         """Plan with its time, LATE where that was up."""
-        now = time.perf_counter()
-        most = self.limit / 4  # of each, so that a program is tried however long the last one was
-        self.pace.program = min(max(self.own.program, self.pace.program / 2), most)
-        self.pace.rest = min(max(now - self._last, self.pace.rest / 2), most)
-        return replace(plan, status=Status.LATE if self.late else plan.status, solve_time=now - self.began)
+        status = Status.LATE if self.late else plan.status
+        return replace(plan, status=status, solve_time=time.perf_counter() - self.began)
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from typing import Any
@@ -17,7 +17,7 @@ from mpc.halfspaces import box_of
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
-from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, Pace, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
 from mpc.optimal_control.sqp import TINY, Multipliers, Step, carried, next_step
@@ -78,7 +78,6 @@ class _Sample:
     size: float  # of the cost
     dear: float
     clock: Clock
-    near: bool  # whether the first path may lie near an optimum
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +95,11 @@ class QuadraticPlanner:
     most: int
     starts: int
     time_limit: float
-    _pace: Pace = field(init=False, default_factory=Pace)
 
     def __post_init__(self) -> None:
         _ = self.stages, self._gains  # built, and compiled, before a clock runs
         if np.isfinite(self.time_limit):
-            self._general((1.0, 1.0)).prepare()
+            self._general((1.0, 1.0))
             states, inputs, w = (np.zeros((self.law.horizon, self.model.step.numel_in(i))) for i in range(3))
             self.model.curvature(states, inputs, w, self.p, states)
 
@@ -137,7 +135,7 @@ class QuadraticPlanner:
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or where it is best."""
-        clock = Clock(self.time_limit, self._pace)
+        clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, given)
@@ -146,8 +144,7 @@ class QuadraticPlanner:
                 first = _Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=carried(before))
                 known = [first]
             size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
-            near = before is None or before.status is not Status.LATE or before.solver == INTERIOR
-            sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock, near)
+            sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
             found = clock.stamped(self._found(sample))
             if found.solver == REAL_TIME or found.status not in OPTIMA:
                 best = self._best(sample, found)
@@ -171,16 +168,13 @@ class QuadraticPlanner:
             programs = self._programs(sample, replace(first, name=REAL_TIME, multipliers=None))
             done = list(islice(programs, self.iterations))
             if not done:
-                return self._plan(sample, first, Status.LATE if sample.clock.up else Status.REPLACED)
+                return self._plan(sample, first, Status.REPLACED)
             cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
-            whole = len(done) == self.iterations and np.isfinite(done[-1].error)
-            status = Status.FOLLOWED if whole else cut_short
+            status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, _moved(done[-1]), status)
             if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
                 return found
-        at = replace(first, name=CONVERGING)
-        if sample.near:
-            at = self._contracted(sample, at)
+        at = self._contracted(sample, replace(first, name=CONVERGING))
         if sample.clock.up:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
@@ -190,14 +184,10 @@ class QuadraticPlanner:
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)
-        paths = (at, *self._from_starts(sample))
-        otherwise = Status.LATE if sample.clock.up else Status.INACCURATE
-        late = otherwise is Status.LATE  # an iterate of Ipopt is then worth going on from
-        plans = [self._plan(sample, one, otherwise) for one in paths
-                 if one.last is not None or (late and one.name == INTERIOR)]  # fmt: skip
+        plans = [self._plan(sample, one) for one in (at, *self._from_starts(sample)) if one.last is not None]
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
-        return self._plan(sample, first, Status.LATE if late else Status.REPLACED) if best is None else best
+        return self._plan(sample, first, Status.REPLACED) if best is None else best
 
     def _plan(self, sample: _Sample, at: _Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
@@ -238,14 +228,11 @@ class QuadraticPlanner:
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
         """Paths, each moved by the program at the one before, in time."""
-        clock = sample.clock
-        while not clock.up:
+        while at.last is None or not sample.clock.up:
             relaxed = at.last is not None and at.last.relaxed
             local = self.stages.at(sample.x, at.states, at.inputs, sample.given)
-            on, end = at.multipliers, clock.end
-            step = next_step(local, sample.dear, relaxed=relaxed, multipliers=on, last=at.last, end=end)
-            clock.ran()
-            if not ((step.solved or clock.up) and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
+            step = next_step(local, sample.dear, relaxed=relaxed, multipliers=at.multipliers, last=at.last)
+            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return
             at = replace(at, gains=step.gains, last=step)
             yield at
@@ -258,23 +245,14 @@ class QuadraticPlanner:
             if sample.clock.up:
                 return
             more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
-            shot = general.near(*more, sample.size, sample.clock)
+            shot = general.near(*more, sample.size)
             if shot is None:
                 continue
             states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
             at = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
-            yield at if at.last is not None else replace(at, gains=self._regulated(sample, at))
+            yield at
             if path.name == SHIFTED and at.solved:
                 return
-
-    def _regulated(self, sample: _Sample, at: _Path) -> Array:
-        """Gains along a path, else at rest."""
-        local = self.stages.at(sample.x, at.states, at.inputs, sample.given)
-        try:
-            found, _ = gains_along(*local.about[:2], local.convex() / 2 if local.regulated is None else local.regulated)
-        except np.linalg.LinAlgError:
-            return self._gains
-        return found if np.isfinite(found).all() else self._gains
 
     def _starting_paths(self, sample: _Sample) -> Iterator[_Path]:
         """Plan to follow; linear law; state held; straight way to the reference; inputs by chance."""

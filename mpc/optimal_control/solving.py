@@ -28,6 +28,7 @@ from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SI
 
 SAID = {
     "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,
+    "Maximum_WallTime_Exceeded": OptimalControlStatus.STOPPED,
     "Maximum_CpuTime_Exceeded": OptimalControlStatus.STOPPED,
     "User_Requested_Stop": OptimalControlStatus.STOPPED,
     "Infeasible_Problem_Detected": OptimalControlStatus.INFEASIBLE,
@@ -179,7 +180,7 @@ class Run:
 
     def left(self, warm: bool) -> Settings:
         """Settings of the next call."""
-        passed = time.perf_counter() - self.began
+        passed = 0.0 if self.settings.each else time.perf_counter() - self.began
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -243,8 +242,7 @@ class _Program:
 
 
 def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float = 1.0,
-              multipliers: Multipliers | None = None, last: Step | None = None,
-              end: float = np.inf) -> Step:  # fmt: skip
+              multipliers: Multipliers | None = None, last: Step | None = None) -> Step:  # fmt: skip
     """Move of a plan, none at an optimum.
 
     `dear`, so many `times`, is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear
@@ -256,10 +254,9 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998). A program
     begins with the limits that act in the plan and takes in what its solution passes, and what is nearest until it has
     twice as many, until it passes none: its dense part grows with the limits that act, all else with the horizon.
-    Where that is not done at the time `end` [s], it only closes the gaps, by feedback, and is not solved.
     """
     none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
-    failed = Step(0 * local.states, 0 * local.inputs, none, np.inf, local.defects, np.inf, False, False)
+    failed = Step(local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
     if not all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input)):
         return failed
     hessian = None
@@ -273,13 +270,13 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     program = newton or _program(local, dear, None)
     if program is None:
         return failed
-    z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed, end)
+    z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
     moves, change = program.moves(z)
     curvature = program.curvature(z)
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
     balance = max(*(largest(part * program.unit) for part in parts), TINY)
     gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-    stationarity = program.unrest(curvature, balance, change, gain) if solved else np.inf
+    stationarity = program.unrest(curvature, balance, change, gain)
     size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
     found = moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
@@ -396,19 +393,19 @@ def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Ar
     return local.by_state + by_both[:, :nx], local.by_input + by_both[:-1, nx:]
 
 
-def _solve(program: _Program, dear: float, relaxed: bool, end: float) -> tuple[Any, ...]:
+def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
     """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
     local = program.local
     hard = bool(np.isinf(local.prices).any())
     if not (relaxed and hard):
-        z, solved, *rows = _within(program, local.prices, end)
+        z, solved, *rows = _within(program, local.prices)
         if solved or not hard:
             return z, False, solved, *rows
-    z, solved, *rows = _within(program, local.priced(True, dear), end)
+    z, solved, *rows = _within(program, local.priced(True, dear))
     return z, True, solved, *rows
 
 
-def _within(program: _Program, prices: Array, end: float) -> tuple[Array, bool, Any, Array]:
+def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     """Solution as of `_solve`, with violations at a price, if finite."""
     local, rows, n = program.local, program.local.rows, len(program.by_state)
     given = np.isfinite(prices[:, 0])
@@ -418,7 +415,7 @@ def _within(program: _Program, prices: Array, end: float) -> tuple[Array, bool, 
     bounds = local.room - rows.along(*program.start)
     fresh = np.flatnonzero((local.room <= PRIMAL * rows.units) | (program.held > 0))
     taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
-    while time.perf_counter() < end:
+    while True:
         more = np.zeros((len(fresh), len(q)))
         more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
         taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
@@ -429,7 +426,7 @@ def _within(program: _Program, prices: Array, end: float) -> tuple[Array, bool, 
         least[np.arange(len(least)), n + np.unique(slots)] = -1.0
         sides = np.concatenate([bounds[taken], np.zeros(len(least))])
         units = np.concatenate([rows.units[taken], np.ones(len(least))])
-        y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units, end)
+        y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
         z = (program.roots @ y[:n].reshape(*program.roots.shape[:2], 1)).ravel()
         room = (local.room - rows.along(*program.moves(z))) / rows.units
         room[taken] = np.inf
@@ -437,7 +434,6 @@ def _within(program: _Program, prices: Array, end: float) -> tuple[Array, bool, 
         if not (solved and passed):
             return z, solved, taken, pushes[: len(taken)]
         fresh = np.argsort(room)[: min(max(passed, len(taken)), len(room) - len(taken))]
-    return np.zeros(n), False, taken[:0], bounds[:0]
 
 
 def _roots(blocks: Array) -> Array:
@@ -457,17 +453,15 @@ def _times(roots: Array, rows: Array) -> Array:
     return np.asarray(blocks.transpose(1, 0, 2).reshape(rows.shape))
 
 
-def _least(q: Array, rows: Array, bounds: Array, units: Array, end: float) -> tuple[Array, Array, bool]:
+def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, Array, bool]:
     """Minimiser of ½ y'y + q'y subject to rows y <= bounds, multipliers, and whether there is one.
 
     Only what the rows see of y is a matter of them.
     """
     basis, seen = np.linalg.qr(rows.T)
     own = q @ basis
-    timed = bool(np.isfinite(end))
-    result = DenseQP(np.eye(len(own)), seen.T, units, second=not timed, end=end).solve(own, bounds)
-    stopped = timed and not result.residuals.worst <= KKT
-    return basis @ (result.z + own) - q, result.multipliers, not (result.infeasible or stopped)
+    result = DenseQP(np.eye(len(own)), seen.T, units).solve(own, bounds)
+    return basis @ (result.z + own) - q, result.multipliers, not result.infeasible
 
 
 def both(states: Array, inputs: Array) -> Array:

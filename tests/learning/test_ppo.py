@@ -1,6 +1,7 @@
 """PPO: advantages by their definition, the ratio, the KL limit, and that it learns."""
 
 import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -229,3 +230,21 @@ def test_settings_outside_their_range_are_refused(options, message):
     with pytest.raises(InputError, match=message) as caught:
         PPOConfig(**options)
     assert caught.value.argument in options
+
+
+def test_a_trained_agent_is_as_large_a_pickle_as_an_untrained_one():
+    net = agent()
+    size = len(pickle.dumps(net))
+    PPO(net, PPOConfig.warm(passes=1)).update(experience(net), generator=generator())
+    assert len(pickle.dumps(net)) < 1.1 * size
+
+
+def test_frozen_parameters_stay():
+    net = agent()
+    net.value_network.head.requires_grad_(False)
+    net.mean_network.head.requires_grad_(False)
+    frozen = weights([*net.value_network.head.parameters(), *net.mean_network.head.parameters()])
+    others = weights(net.actor_parameters())
+    PPO(net, PPOConfig(passes=2, running_scales=False)).update(experience(net), generator=generator())
+    assert torch.equal(weights([*net.value_network.head.parameters(), *net.mean_network.head.parameters()]), frozen)
+    assert not torch.equal(weights(net.actor_parameters()), others)

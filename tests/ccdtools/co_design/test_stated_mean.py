@@ -25,6 +25,7 @@ from ccdtools import (
 )  # fmt: skip
 from invariant_sets import maximal_control_invariant_set
 from mpc import LinearMPC, lqr
+from mpc.optimal_control import NonlinearMPC
 
 DESIGN, Q, R = [2.0], np.diag([1.0, 0.1]), np.array([[0.05]])
 SPACE = DesignSpace(["k"], [0.5], [5.0])
@@ -150,3 +151,47 @@ def test_nonlinear_mpc_settles_where_the_cost_is_least():
     inputs = 2.0 * np.sin(angles) - 0.4
     best = np.min(Q[0, 0] * angles**2 + R[0, 0] * inputs**2)
     assert x @ Q @ x + u @ R @ u < 1.001 * best
+
+
+def test_derivatives_beside_a_mean_are_of_given_references_alone():
+    problem = problem_of()
+    nonlinear = nonlinear_mpc(problem, DESIGN, horizon=8)
+    linear = linear_mpc(problem, DESIGN, horizon=8)
+    dA = np.ones((2, 2, 1))
+    for call in (lambda **refs: nonlinear.sensitivity([0.3, 0.0], **refs),
+                 lambda **refs: linear.sensitivity([0.3, 0.0], dA=dA, **refs)):  # fmt: skip
+        for none in ({}, {"x_ref": None}):
+            with pytest.raises(InputError, match="a rest that moves with the parameters"):
+                call(**none)
+        assert np.isfinite(call(x_ref=np.zeros((9, 2)), u_ref=np.zeros((8, 1))).input_by_parameters).all()
+
+
+def test_a_mean_of_zero_is_none_and_references_need_no_rest():
+    A, B, P = np.diag([1.0, 2.0]), np.array([[1.0], [0.0]]), np.eye(2)  # the second state cannot be stabilised
+    free = dict(Q=np.eye(2), R=[[1.0]], P=P, horizon=5, E=np.eye(2))
+    plain, still = LinearMPC(A, B, **free), LinearMPC(A, B, mean=[0.0, 0.0], **free)
+    np.testing.assert_array_equal(still([1.0, 0.5]), plain([1.0, 0.5]))
+    pushed = LinearMPC(A, B, mean=[0.1, 0.0], **free)
+    w = np.tile([0.1, 0.0], (5, 1))
+    np.testing.assert_allclose(
+        pushed.solve([1.0, 0.5], x_ref=np.zeros((6, 2))).inputs,
+        plain.solve([1.0, 0.5], w=w).inputs, atol=1e-7,
+    )  # fmt: skip
+
+
+def test_an_invariant_terminal_set_is_that_of_the_regulator_about_the_rest():
+    A, B, E, mean = np.array([[1.0, 0.1], [-0.2, 0.9]]), np.array([[0.0], [0.1]]), np.array([[0.0], [0.1]]), [0.4]
+    mpc = NonlinearMPC(
+        lambda x, u, w: ca.DM(A) @ x + ca.DM(B) @ u + ca.DM(E) @ w, 2, 1, Q=Q, R=R, horizon=10, X=(-1.0, 1.0),
+        U=(-0.9, 0.5), terminal_set="invariant", disturbances=1, mean=mean,
+    )  # fmt: skip
+    K, _ = lqr(A, B, Q=Q, R=R)
+    x_rest, u_rest = mpc.problem.rest
+    assert abs(u_rest[0]) > 0.05
+    corners = mpc.problem.terminal_set.vertices
+    for x in corners:
+        u = u_rest - K @ (x - x_rest)
+        after = A @ x + B @ u + E @ mean
+        assert (u >= -0.9 - 1e-7).all()
+        assert (u <= 0.5 + 1e-7).all()
+        assert mpc.problem.terminal_set.contains(after, 1e-7)

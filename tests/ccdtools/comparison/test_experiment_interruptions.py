@@ -81,6 +81,12 @@ def test_a_simulator_that_stops_in_the_first_step_is_a_row_that_stopped(starts):
         found(LAWS, dead, seeds=2, objective=QuadraticObjective(np.eye(2), [[1.0]]))
 
 
+def test_a_plant_that_never_works_is_an_error_before_anything_is_made():
+    never = Scenario(stopping(0.5), [[1.0]], np.zeros((1, 20, 1)))
+    with pytest.raises(InputError, match="advance: got a function that stops with OSError"):
+        found({"LQR": lambda p, rng: pytest.fail("made")}, {"one": never}, seeds=2)
+
+
 def test_runs_that_end_are_kept_beside_those_that_stop(tmp_path):
     """Returns are those by hand, and a controller's inputs and sensors those of its own runs."""
     rng = np.random.default_rng(4)

@@ -8,8 +8,6 @@ import pytest
 
 from mpc import Status
 from mpc.optimal_control import NonlinearMPC
-from mpc.optimal_control.ipopt import Settings, once
-from mpc.optimal_control.sqp import next_step
 
 
 def cart_pole(x, u, p):
@@ -56,23 +54,3 @@ def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     controller(x)
     assert (controller.last_plans[0].status, controller.last_plans[0].solver) == (Status.REPLACED, "linear law")
     assert controller.last_plans[0].inputs[0] == pytest.approx(np.clip(-controller.linear.gain @ x, -10, 10))
-
-
-def test_a_program_that_has_no_time_closes_gaps_and_is_not_solved():
-    controller, x = pole(), np.array([0.0, 0.3, 0.0, 0.0])
-    plan, stages, given = controller.solve(x), controller.planner.stages, controller.planner.signals({})
-    states = plan.states + np.where(np.arange(31)[:, None] < 5, 0.0, 0.01)
-    local = stages.at(x, states, plan.inputs, given)
-    step = next_step(local, 1.0, end=0.0)
-    assert (step.solved, step.error) == (False, np.inf)
-    assert next_step(local, 1.0).solved
-    after = stages.at(x, states + step.states, plan.inputs + step.inputs, given)
-    assert after.defects < 0.1 * local.defects
-
-
-def test_ipopt_stops_before_an_iteration_that_would_end_late():
-    program = pole().planner._general((1.0, 1.0)).loop.program
-    found = once(program, program.guess, None, Settings(1e-8, 300, 0.0, {}, best=False))
-    assert (found.said, found.iterations) == ("User_Requested_Stop", 0)
-    enough = once(program, program.guess, None, Settings(1e-8, 300, 600.0, {}, best=False))
-    assert enough.ended
