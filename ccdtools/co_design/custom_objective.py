@@ -12,6 +12,7 @@ from ccdtools.arrays import Array, ArrayField
 from ccdtools.co_design.objective import Objective, Weights, is_semidefinite
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import as_symbolic
+from ccdtools.plants.jumps import Switches
 from ccdtools.plants.plant import Plant
 from ccdtools_ground.door import as_instance, as_weight
 
@@ -65,6 +66,17 @@ class CustomObjective(Objective):
         if x is None or p is None:
             raise InputError("x, p", "nothing", "the states before the step and the design, which the cost needs")
         return -self.stage_cost.scalar(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)[..., 0]
+
+    def jump(self, X: tuple[Array, Array], U: tuple[Array, Array], design: tuple[Array, Array]) -> str:
+        """Where ℓ jumps within bounds, in words; empty where no jump was found."""
+        x, u, p = (ca.SX.sym(name, len(low)) for name, (low, _) in zip("xup", (X, U, design)))
+        cost = self.stage_cost.function(len(X[0]), len(U[0]), len(design[0]))(x, u, p)
+        undisturbed = np.zeros(0), np.zeros(0)
+        found = Switches(ca.Function("cost", [x, u, ca.SX(0, 1), p], [cost])).within((X, U, undisturbed), design)
+        if found is None:
+            return ""
+        place = ", ".join(f"{name} = {getattr(found, name).round(6).tolist()}" for name in "xu")
+        return f"the cost jumps ({', '.join(found.names)}), such as at {place}: derivatives leave the jump out"
 
     def final_rewards(self, x: Any, p: Any) -> Any:
         """−V_f (...,) of states (..., nx), None without a terminal cost."""

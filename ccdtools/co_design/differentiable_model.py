@@ -111,8 +111,13 @@ class Stepper:
         return cls(problem, *at, p, p.new_tensor(problem.limit.tolist()), carry)
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Next states (n, nx), errors (n, nx) and rewards (n,)."""
+        """Next states (n, nx), errors (n, nx) and rewards (n,).
+
+        A state that is no number, as of a simulator, stands where it just counts as lost.
+        """
         x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
+        beyond = torch.nextafter(self.limit, self.limit.new_tensor(math.inf))
+        x_next = torch.where(x_next.isfinite(), x_next, beyond)
         return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
     def drive(self, w: Tensor) -> Tensor:

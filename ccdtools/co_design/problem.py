@@ -329,7 +329,17 @@ class CoDesignProblem(Immutable):
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What is to be known of the model and of entries of the design that act only together."""
-        return tuple(filter(None, (getattr(self.model, "jump", ""), acting_together(self))))
+        return tuple(filter(None, (self.jump, acting_together(self))))
+
+    @cached_property
+    def jump(self) -> str:
+        """Where plant or cost jumps, which gradients do not see; empty where no jump is known."""
+        of_plant: str = getattr(self.model, "jump", "")
+        cost = getattr(self.objective, "jump", None)
+        if of_plant or cost is None:
+            return of_plant
+        space = self.design
+        return str(cost(widest(self.X).bounding_box(), self.input_bounds, (space.lower, space.upper)))
 
     @property
     def design(self) -> DesignSpace:

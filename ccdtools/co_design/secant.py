@@ -135,6 +135,8 @@ def _least_squares(
     x, u = np.vstack([states, states]), np.vstack([inputs, rng.permutation(inputs)])
     pairs = np.hstack([x, u])
     after = problem.model.stepper(p, batch=1)(x, u, np.tile(problem.mean_disturbance, (len(x), 1)))
+    kept = np.isfinite(after).all(axis=1)  # not where a simulator gives no number
+    pairs, after = pairs[kept], after[kept]
     mean, mean_after = pairs.mean(axis=0), after.mean(axis=0)
     fit = np.linalg.lstsq(pairs - mean, after - mean_after, rcond=None)[0].T
     return fit[:, : x.shape[1]], fit[:, x.shape[1] :], mean_after - fit @ mean

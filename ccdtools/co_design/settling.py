@@ -311,8 +311,8 @@ class Settling:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
             wrong = check.astray
-            if not wrong and getattr(self.problem.model, "jump", False):
-                wrong = "the plant jumps, which no gradient of the policy sees"
+            if not wrong and self.problem.jump:
+                wrong = "a jump of plant or cost, which no gradient of the policy sees"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
         found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2), self._logged(2))

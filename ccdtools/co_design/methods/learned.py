@@ -202,9 +202,7 @@ def _on_from_scratch(task: Task, agent: ActorCritic, design: Array, rng: np.rand
 
 def _leads(problem: CoDesignProblem, policy: LearnedPolicy, rng: np.random.Generator) -> bool:
     """Whether the gradient of a policy is that of its return."""
-    if getattr(problem.model, "jump", False):
-        return False
-    return not _gradients(problem, policy, rng, 2 * SETTLING_RUNS).astray
+    return not problem.jump and not _gradients(problem, policy, rng, 2 * SETTLING_RUNS).astray
 
 
 def _gradients(

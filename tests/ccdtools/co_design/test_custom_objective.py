@@ -138,3 +138,18 @@ def test_a_constraint_of_the_design_excuses_a_cost_from_what_it_forbids():
         lambda x, u, p: (p[0] - 1.5) * ca.sumsqr(x) + ca.sumsqr(u), design_cost=lambda p: ca.log(p[0] - 1.5)
     ))  # fmt: skip
     assert own.weights(np.array([2.0, 0.5])).Q[0, 0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("extra", "jumps"),
+    [
+        (lambda x, u: ca.if_else(ca.fabs(u[0]) > 0.05, 2.0, 0.0), True),  # a fee for every use
+        (lambda x, u: ca.if_else(x[0] > 9.0, 2.0, 0.0), False),  # outside X
+        (lambda x, u: 100 * ca.fmax(x[0] - 1, 0) ** 2, False),
+        (lambda x, u: ca.fabs(u[0]), False),
+    ],
+)
+def test_a_cost_that_jumps_within_the_limits_is_noted(extra, jumps):
+    own = problem(CustomObjective(lambda x, u, p: x.T @ x + u[0] ** 2 + extra(x, u), Q=Q, R=R))
+    assert own.jump.startswith("the cost jumps (") == jumps
+    assert (own.jump in own.notes) == jumps

@@ -15,7 +15,6 @@ from ccdtools import (
     InputError,
     Plant,
     QuadraticObjective,
-    admissible_inputs,
     discretise,
     expert_dataset,
     feasible_sets,
@@ -23,6 +22,7 @@ from ccdtools import (
     nonlinear_mpc,
     saturated_lqr,
 )  # fmt: skip
+from ccdtools.co_design import admissible_inputs
 from invariant_sets import maximal_control_invariant_set
 from mpc import LinearMPC, lqr
 from mpc.optimal_control import NonlinearMPC

@@ -296,9 +296,9 @@ def test_a_linearisation_is_trusted_in_a_tenth_of_its_ellipsoid():
 @pytest.mark.parametrize(("beyond", "leaving"), [(0.6e-3, 0.0), (6e-3, 1.0)])
 def test_an_input_leads_to_the_edge_of_a_set_within_a_thousandth(beyond, leaving):
     S = Polytope.from_bounds([-1.0], [1.0])
-    model = SimpleNamespace(nw=1, advance=lambda x, u, w, p: x + u)
+    problem = SimpleNamespace(model=SimpleNamespace(advance=lambda x, u, w, p: x + u), mean_disturbance=np.zeros(1))
     begin = SimpleNamespace(sets=[S], p=np.zeros((1, 1)))
-    assert _leaving(model, begin, np.array([[0.5]]), np.array([[0.5 + beyond]])) == leaving
+    assert _leaving(problem, begin, np.array([[0.5]]), np.array([[0.5 + beyond]])) == leaving
 
 
 # ── comparison of methods ──
@@ -400,9 +400,10 @@ def test_a_block_was_worth_it_that_leaves_nine_tenths_of_a_violation(left, worth
 @pytest.mark.parametrize(("beyond", "led_back"), [(0.06, True), (0.6, False)])
 def test_a_state_outside_its_set_by_up_to_a_tenth_is_led_back(monkeypatch, beyond, led_back):
     problem = scalar(lambda x, u, p: x + (1 + p) * u, X=(-9, 9))
-    regions = SimpleNamespace(A=np.ones((1, 1, 1)), B=np.ones((1, 1, 1)), designs=[problem.design.centre])
+    one, E = np.ones((1, 1, 1)), np.ones((1, 1, problem.model.nw))
+    regions = SimpleNamespace(A=one, B=one, E=E, designs=[problem.design.centre])
     projected = SimpleNamespace(project=lambda x, u: (0 * u - 0.5, None))
-    monkeypatch.setattr(expert_loops, "AdmissibleInputs", lambda A, B, S, U: projected)
+    monkeypatch.setattr(expert_loops, "AdmissibleInputs", lambda A, B, S, U, W: projected)
     filtered = set_filter(problem, SimpleNamespace(regions=regions, sets=[Polytope.from_bounds([-1.0], [1.0])]))
     assert filtered(np.array([[1 + beyond]]), np.zeros((1, 1))) == (-0.5 if led_back else 0.0)
 
