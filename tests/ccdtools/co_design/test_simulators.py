@@ -24,7 +24,7 @@ from ccdtools import (
     equilibrium,
     load_study,
 )
-from ccdtools.co_design import EpisodeEnv
+from ccdtools.co_design import DesignEnv, EpisodeEnv, stochastic_linearisation
 from ccdtools.plants import BlackBox, deviations, from_gymnasium
 from learning import NetworkConfig
 
@@ -281,3 +281,32 @@ def cost_of_a_length(length):
         x = np.array([x[0] + 0.05 * v, v])
         total += x @ x + 0.1 * u**2
     return total
+
+
+def test_a_simulator_that_gives_no_number_loses_the_run_and_is_left_out_of_the_secant():
+    def advance(x, u, w, p):
+        after = np.stack([x[:, 0] + 0.1 * x[:, 1], x[:, 1] + 0.1 * (u[:, 0] + w[:, 0]) / p[0]], axis=1)
+        after[x[:, 1] > 0.5] = np.nan
+        return after
+
+    box = BlackBox(advance, nx=2, nu=1, nw=1, dt=0.1, design=DesignSpace(["m"], [0.5], [2.0]), batched=True)
+    problem = CoDesignProblem(
+        box, X=(-3, 3), U=(-1, 1), objective=QuadraticObjective(np.eye(2), [[0.1]]), steps=30,
+        scenarios=FixedStart([-2.0, 0.0], Gaussian([0.05])),
+    )  # fmt: skip
+    env = EpisodeEnv(problem, [1.0], runs=2, rng=np.random.default_rng(0))
+    env.reset()
+    single = DesignEnv(problem, [1.0])
+    single.reset(seed=0)
+    for _ in range(30):  # full power until the speed is beyond 0.5
+        _, successor, reward, terminated, _ = env.step(torch.ones(2, 1))
+        assert torch.isfinite(successor).all()
+        assert torch.isfinite(reward).all()
+        seen, paid, over, *_ = single.step(np.ones(1))
+        assert np.isfinite([*seen, paid]).all()
+        assert over == terminated.any()
+        if over:
+            break
+    assert over
+    found = stochastic_linearisation(problem, [1.0], np.random.default_rng(0))
+    np.testing.assert_allclose(found.A, [[1.0, 0.1], [0.0, 1.0]], atol=1e-6)
