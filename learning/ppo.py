@@ -334,16 +334,16 @@ class PPO:
         self._rescaled += 1
         share = max(1.0 / self._rescaled, SCALE_MEMORY)
         mean, std = targets.mean(), targets.std(correction=0).clamp(min=LEAST_SPREAD)
-        offset, scale = self.agent.value_offset, self.agent.value_scale
-        self.agent.rescale_values(offset.lerp(mean, share), scale.lerp(std, share))
+        agent = self.agent
+        agent.rescale_values(agent.value_offset.lerp(mean, share), agent.value_scale.lerp(std, share))
 
     def _step(self, losses: Losses, *, actor: bool) -> float:
         """Norm of the actor's gradient, after one clipped step; NaN if only the critic has made one."""
-        loss = losses.value
-        if actor:
-            loss = loss + losses.surrogate - self.config.entropy_coefficient * losses.entropy
+        of_actor = losses.surrogate - self.config.entropy_coefficient * losses.entropy
+        loss = losses.value + of_actor if actor else losses.value
         critic = self._critic.parameters
-        gradients = torch.autograd.grad(loss, critic + self._actor.parameters if actor else critic)
+        wanted = critic + self._actor.parameters * actor
+        gradients = torch.autograd.grad(loss, wanted) if wanted else ()
         self._critic.step(gradients[: len(critic)], self.config.max_gradient)
         return self._actor.step(gradients[len(critic) :], self.config.max_gradient) if actor else float("nan")
 

@@ -14,13 +14,13 @@ class VectorAdam:
 
     def __init__(self, parameters: list[nn.Parameter], rate: float) -> None:
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
-        self.vector = nn.utils.parameters_to_vector(self.parameters).detach()
+        self.vector = _joined(self.parameters).detach()
         self.adam = torch.optim.Adam([self.vector], lr=rate, fused=True)
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Parameters as parts of the vector; afterwards each has its own memory again."""
-        self.vector.copy_(nn.utils.parameters_to_vector(self.parameters).detach())
+        self.vector.copy_(_joined(self.parameters).detach())
         nn.utils.vector_to_parameters(self.vector, self.parameters)
         try:
             yield
@@ -30,7 +30,12 @@ class VectorAdam:
 
     def step(self, gradients: Sequence[Tensor], limit: float) -> float:
         """Norm of the gradient, after a step by what is left of it within a limit."""
-        self.vector.grad = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        self.vector.grad = _joined(gradients)
         norm = nn.utils.clip_grad_norm_(self.vector, limit)
         self.adam.step()
         return float(norm)
+
+
+def _joined(parts: Sequence[Tensor]) -> Tensor:
+    """Entries of tensors in one vector, empty where all are frozen."""
+    return torch.cat([part.reshape(-1) for part in parts]) if parts else torch.zeros(0)

@@ -187,7 +187,8 @@ class MPCProblem(Immutable):
         """State (nx,) and input (nu,) of least cost at rest under `mean`."""
         if self.mean is None:
             return np.zeros(self.nx), np.zeros(self.nu)
-        return settled(self.A, self.B, self.E @ self.mean, Q=self.Q, R=self.R, S=self.S)
+        x, u = settled(self.A, self.B, self.E @ self.mean, Q=self.Q, R=self.R, S=self.S)
+        return frozen(x), frozen(u)
 
     def lasting_beside(self, named: Collection[str]) -> dict[str, Array]:
         """Signals in place of those that a call does not name.

@@ -68,15 +68,20 @@ class CustomObjective(Objective):
         return -self.stage_cost.scalar(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)[..., 0]
 
     def jump(self, X: tuple[Array, Array], U: tuple[Array, Array], design: tuple[Array, Array]) -> str:
-        """Where ℓ jumps within bounds, in words; empty where no jump was found."""
+        """Where ℓ or V_f jumps within bounds, in words; empty where no jump was found."""
         x, u, p = (ca.SX.sym(name, len(low)) for name, (low, _) in zip("xup", (X, U, design)))
-        cost = self.stage_cost.function(len(X[0]), len(U[0]), len(design[0]))(x, u, p)
+        costs = [self.stage_cost.function(len(X[0]), len(U[0]), len(design[0]))(x, u, p)]
+        if self.terminal_cost is not None:
+            costs.append(self.terminal_cost.function(len(X[0]), len(design[0]))(x, p))
         undisturbed = np.zeros(0), np.zeros(0)
-        found = Switches(ca.Function("cost", [x, u, ca.SX(0, 1), p], [cost])).within((X, U, undisturbed), design)
+        found = Switches(ca.Function("cost", [x, u, ca.SX(0, 1), p], [ca.vertcat(*costs)])).within(
+            (X, U, undisturbed), design
+        )  # fmt: skip
         if found is None:
             return ""
         place = ", ".join(f"{name} = {getattr(found, name).round(6).tolist()}" for name in "xu")
-        return f"the cost jumps ({', '.join(found.names)}), such as at {place}: derivatives leave the jump out"
+        name = ("stage", "terminal")[found.row]
+        return f"the {name} cost jumps ({', '.join(found.names)}), such as at {place}: derivatives leave the jump out"
 
     def final_rewards(self, x: Any, p: Any) -> Any:
         """−V_f (...,) of states (..., nx), None without a terminal cost."""

@@ -122,6 +122,11 @@ class PreviewedObjective(Objective):
         """Whether the other does."""
         return self.own.looks_back
 
+    def jump(self, X: tuple[Array, Array], *others: tuple[Array, Array]) -> str:
+        """Where the other jumps."""
+        jump = getattr(self.own, "jump", None)
+        return "" if jump is None else str(jump((self._own(X[0]), self._own(X[1])), *others))
+
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
         """Rewards (...,) of x (..., nx + register) and u (..., nu)."""
         return self.own.rewards(self._own(x_next), u, None if x is None else self._own(x), p)

@@ -203,7 +203,7 @@ class CoDesignResult(Immutable):
     limits : LimitsOutcome or None
         How often and how far X is left, beside the tolerance; None where the limits were switched off.
     baselines : tuple of Baseline
-        What it was compared with before it was called settled; of a policy that has not settled, LQR alone.
+        What it was compared with before it was called settled. LQR alone where the method of a policy did not settle.
     valleys : tuple of Valley
         The local optima of the landscape, best first; empty where it was not looked at.
     described : str

@@ -31,6 +31,7 @@ from ccdtools.co_design.differentiable_model import (
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive
+from ccdtools.exceptions import InputError
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools_ground.door import as_generator, as_instance
 from mpc import NotStabilisableError
@@ -101,7 +102,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
         *pairs, seen = of_episodes(step, lambda x: x.new_tensor(law(x.numpy())), scenarios)
         states, inputs = (part.numpy() for part in pairs)
         within = (np.abs(states) <= problem.limit).all(axis=1)
-        return states[within], inputs[within], float(seen.total.mean())
+        return states[within], inputs[within], float(seen.total.nan_to_num(-np.inf).mean())
 
     try:
         states, _, tangent = driven(saturated_lqr(problem, p))
@@ -136,6 +137,9 @@ def _least_squares(
     pairs = np.hstack([x, u])
     after = problem.model.stepper(p, batch=1)(x, u, np.tile(problem.mean_disturbance, (len(x), 1)))
     kept = np.isfinite(after).all(axis=1)  # not where a simulator gives no number
+    if not kept.all() and kept.sum() <= pairs.shape[1]:
+        got = f"numbers after {kept.sum()} of {len(kept)} steps"
+        raise InputError("model", got, f"more than {pairs.shape[1]}, which a linearisation is fitted to")
     pairs, after = pairs[kept], after[kept]
     mean, mean_after = pairs.mean(axis=0), after.mean(axis=0)
     fit = np.linalg.lstsq(pairs - mean, after - mean_after, rcond=None)[0].T

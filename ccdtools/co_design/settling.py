@@ -312,7 +312,7 @@ class Settling:
             result = replace(result, policy_gradients=check)
             wrong = check.astray
             if not wrong and self.problem.jump:
-                wrong = "a jump of plant or cost, which no gradient of the policy sees"
+                wrong = f"no gradient of the policy sees that {self.problem.jump}"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
         found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2), self._logged(2))

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -419,8 +420,21 @@ def _check(plan: Plan, seed: int) -> None:
                 works = True
             except SimulatorError as error:  # each controller is told of it
                 run = error.kept if isinstance(error.kept, Trajectory) else stopped_runs(first, p, "").run
+                # one that hangs or ends its process may work under other inputs
                 works, dead = works or run is error.kept or isinstance(error.__cause__, SimulatorError), error
             run.rewards(plan.objective)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)
-    if dead is not None and not works:
+    if dead is not None and not (works or any(_steps(plan, seed))):
         raise dead  # of a function that never worked
+
+
+def _steps(plan: Plan, seed: int) -> Iterator[bool]:
+    """Whether a first sample can be simulated, of each start at each design."""
+    for scenario in plan.conditions(seed).values():
+        for i, p in product(range(len(scenario.x0)), plan.designs.values()):
+            try:
+                plan.simulated(scenario.part(slice(i, i + 1), 1), Passive(scenario.plant.nu), p)
+            except SimulatorError:
+                yield False
+            else:
+                yield True

@@ -178,6 +178,11 @@ def from_gymnasium(
         raise InputError("build", "none", "a function (env, p) that gives the environment a design")
     dt = as_positive("dt", getattr(inner, "dt", 1.0) if dt is None else dt, unit="s")
 
+    if build is not None:
+        try:
+            build(inner, design.project(design.centre))
+        except Exception as error:
+            raise stopped("build", build, error, "a function (env, p) that gives the environment a design") from error
     told = content_of((inner, read, write, build))  # what it holds before its first step
     advance = _EnvironmentStep(env, read, write, build, told)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)

@@ -26,7 +26,7 @@ class ExperimentStatus(Outcome):
     """Outcome of a plan; the value is the advice."""
 
     FOUND = "Found: deploy `best.controller` from `best.x0`, and fit all logs."
-    LONGER = "No candidate within the limits makes the intervals short enough in so many runs: make more (runs=)."
+    LONGER = "No candidate within the limits makes the intervals short enough in so few runs: make more (runs=)."
     OPEN = (
         "No candidate within the limits tells the parameters apart: measure another output, or state a plant with "
         "fewer of them."
@@ -193,7 +193,7 @@ def _candidates(
             yield f"{words}, {share:.0%} of U's half-width", excited, x0
     if problem.measurement is None:
         low, high = problem.state_limits(p).bounding_box()
-        far = np.where(high > -low, high, low)
+        far = np.where(high >= -low, high, low)
         far = np.where(np.isfinite(far), far, problem.state_scale)
         for name, start in zip(problem.state_names, np.diag(far / 2)):
             yield f"Starts half-way to X along {name}", law, np.broadcast_to(start, x0.shape)

@@ -412,5 +412,5 @@ def _invariant_set(law: MPCProblem) -> Polytope:
     found = maximal_positively_invariant_set(law.A - law.B @ law.gain, both)
     if found.set.is_empty:
         got = f"'invariant', of which none was found ({found.status.name})"
-        raise InputError("terminal_set", got, "one about the origin", found.status.advice)
+        raise InputError("terminal_set", got, "one about the rest, which is 0 without a mean", found.status.advice)
     return Polytope(found.set.A, found.set.b + found.set.A @ x)

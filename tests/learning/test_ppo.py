@@ -248,3 +248,15 @@ def test_frozen_parameters_stay():
     PPO(net, PPOConfig(passes=2, running_scales=False)).update(experience(net), generator=generator())
     assert torch.equal(weights([*net.value_network.head.parameters(), *net.mean_network.head.parameters()]), frozen)
     assert not torch.equal(weights(net.actor_parameters()), others)
+
+
+def test_a_network_that_is_frozen_whole_stays():
+    net = agent()
+    net.value_network.requires_grad_(False)
+    frozen, others = weights(net.value_network.parameters()), weights(net.actor_parameters())
+    ppo = PPO(net, PPOConfig(passes=2, running_scales=False))
+    ppo.update(experience(net), generator=generator(), actor=False)
+    assert torch.equal(weights(net.actor_parameters()), others)
+    ppo.update(experience(net), generator=generator())
+    assert torch.equal(weights(net.value_network.parameters()), frozen)
+    assert not torch.equal(weights(net.actor_parameters()), others)

@@ -20,7 +20,7 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
-from ccdtools.co_design import output_objective
+from ccdtools.co_design import output_objective, previewed_objective
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
 ACCELERATION = -p[0] * x[0] - p[1] * x[1] + u
@@ -151,5 +151,12 @@ def test_a_constraint_of_the_design_excuses_a_cost_from_what_it_forbids():
 )
 def test_a_cost_that_jumps_within_the_limits_is_noted(extra, jumps):
     own = problem(CustomObjective(lambda x, u, p: x.T @ x + u[0] ** 2 + extra(x, u), Q=Q, R=R))
-    assert own.jump.startswith("the cost jumps (") == jumps
+    assert own.jump.startswith("the stage cost jumps (") == jumps
     assert (own.jump in own.notes) == jumps
+
+
+def test_a_terminal_cost_that_jumps_is_noted_behind_sensors_too():
+    own = problem(CustomObjective(lambda x, u, p: x.T @ x + u[0] ** 2, lambda x, p: ca.if_else(x[0] > 1, 5.0, 0.0)))
+    assert own.jump.startswith("the terminal cost jumps (")
+    X, U = (np.full(5, -4.0), np.full(5, 4.0)), own.input_bounds
+    assert previewed_objective(own.objective, 3).jump(X, U, (SPACE.lower, SPACE.upper)) == own.jump

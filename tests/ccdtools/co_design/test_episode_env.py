@@ -231,7 +231,7 @@ def test_a_training_goes_on_in_a_simulator_that_was_used_and_not_in_a_changed_on
         objective=QuadraticObjective(np.eye(2), [[1.0]]),
     )  # fmt: skip
 
-    def env():
+    def env(problem=problem):
         return EpisodeEnv(problem, [], runs=4, rng=np.random.default_rng(0))
 
     first = env()
@@ -239,9 +239,10 @@ def test_a_training_goes_on_in_a_simulator_that_was_used_and_not_in_a_changed_on
     kept = first.state()
     first.step(torch.ones(4, 1))
     env().restore(kept)
+    env(replace(problem, model=from_gymnasium(inner))).restore(kept)
     inner.m = 2.0
     with pytest.raises(InputError, match="state: got 4 runs"):
-        env().restore(kept)
+        env(replace(problem, model=from_gymnasium(inner))).restore(kept)
 
 
 def test_wrong_calls_name_their_argument(illustrative):

@@ -82,7 +82,8 @@ def test_a_simulator_that_stops_in_the_first_step_is_a_row_that_stopped(starts):
 
 
 def test_a_plant_that_never_works_is_an_error_before_anything_is_made():
-    never = Scenario(stopping(0.5), [[1.0]], np.zeros((1, 20, 1)))
+    assert found(LAWS, Scenario(stopping(3.0), [[4.0], [1.0]], np.zeros((2, 20, 1))), seeds=2).cells[0].evidence.lost
+    never = Scenario(stopping(0.5), [[1.0], [2.0]], np.zeros((2, 20, 1)))
     with pytest.raises(InputError, match="advance: got a function that stops with OSError"):
         found({"LQR": lambda p, rng: pytest.fail("made")}, {"one": never}, seeds=2)
 

@@ -372,7 +372,7 @@ def test_a_policy_is_not_led_by_a_gradient_that_half_of_its_runs_lack(monkeypatc
     monkeypatch.setattr("ccdtools.co_design.settling.better_by_search", lambda *_: None)
     none = Baseline("retuned", ONE, PairedDifference(0.0, (-1.0, 1.0)))
     stated = SimpleNamespace(
-        problem=SimpleNamespace(model=None),
+        problem=SimpleNamespace(jump=""),
         _drawn=lambda *_: None,
         _logged=lambda *_: None,
         _in_parts=lambda *_: none,
