@@ -43,7 +43,7 @@ class EpisodeEnv:
         Draws fresh scenarios at each reset.
     output : Measurement or what it takes, optional
         What is measured, with its noise; by default the measurement of the problem. Recorded noise needs a sample for
-        each step: the observation after the last one, to which nobody acts, has the first again.
+        each step: the observation after the last one, on which nobody acts, has the first again.
     history : int
         An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state,
         where the problem states no measurement.
