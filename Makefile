@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SETUP := .venv/.ready
 SITE := .venv/.site
-KERNELS ?= Nehalem Sandybridge Haswell
+KERNELS ?= Nehalem
 ALGEBRA := tests/invariant_sets tests/mpc tests/inner/invariant_sets tests/inner/mpc
 NO_ALGEBRA := notebook or benchmark or codegen or plotting or import or bad_input or wrong_calls
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
@@ -17,11 +17,11 @@ run: $(SETUP)          ## a semi-active car for two drivers, start to report, wi
 test: $(SETUP) lint    ## lint, types, import contracts and every quick test: within five minutes on two cores
 	$(PYTEST) -m "not check and not slow" --durations 5 --durations-min 4
 
-check: $(SETUP)        ## everything else: whole runs, notebooks, long sweeps, the kernels of other processors
+check: $(SETUP)        ## everything else: whole runs, notebooks, long sweeps, and an old processor's kernels
 	$(PYTEST) -m "check and not slow"
 	@$(MAKE) --no-print-directory kernels
 
-kernels: $(SETUP)      ## the numerical packages with the OpenBLAS kernels of other processors; KERNELS="Zen SkylakeX" for more
+kernels: $(SETUP)      ## the numerical packages with the OpenBLAS kernels of processors without AVX; KERNELS="Sandybridge Zen" for others
 	@for kernel in $(KERNELS); do echo "OpenBLAS kernels: $$kernel"; \
 	OPENBLAS_CORETYPE=$$kernel $(PYTEST) -m "not slow" -k "not ($(NO_ALGEBRA))" $(ALGEBRA) || exit 1; done
 
