@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
-from ccdtools.co_design.environment import Observations, divergence_of, paid
+from ccdtools.co_design.environment import Observations, divergence_of, outcomes
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.controllers.history import History
@@ -300,16 +300,13 @@ class _Episodes:
         now = torch.from_numpy(np.minimum(self._k, self.problem.steps - 1))
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
-            rewards, lost, final = paid(self._stepper, self._x, rewards)
-            left = lost.numpy()
-        self._k += 1
+            self._k += 1
+            last = torch.from_numpy(self._k >= self.problem.steps)
+            parts = outcomes(self._stepper, self._x, rewards, last)
         self.observations.take(slice(None), self._x, inputs, self._k)
-        late = (self._k >= self.problem.steps) & ~left
-        self.over = left | late
-        earned = rewards.double().numpy()
-        if final is None:
-            return earned, left, late
-        return earned + np.where(late, final.double().numpy(), 0.0), self.over.copy(), np.zeros_like(late)  # it is paid
+        earned, terminated, truncated = (part.numpy() for part in parts)
+        self.over = terminated | truncated
+        return earned.astype(float), terminated, truncated
 
     def inputs(self, actions: Array, design: Array) -> Array:
         """Inputs (..., nu) in the units of the plant, at designs (..., np)."""

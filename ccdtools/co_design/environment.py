@@ -146,12 +146,9 @@ class EpisodeEnv:
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
-        reward, terminated, final = paid(self._step, x, reward)
         self._k += 1
-        truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
-        if final is not None:  # what comes after the end is paid for: no value stands for it
-            reward = reward + torch.where(truncated, final, 0.0)
-            terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
+        last = torch.tensor(self._k >= self.problem.steps)
+        reward, terminated, truncated = outcomes(self._step, x, reward, last)
         self._observations.take(slice(None), x, actions, self._k)
         successor = self._seen(x)
         if self._k >= self.problem.steps:
@@ -255,14 +252,16 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
     return min(1.5, problem.divergence) if divergence is None else as_positive("divergence", divergence)
 
 
-def paid(step: Stepper, x: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Rewards (n,) at states (n, nx), which runs are lost, and what an end there is rewarded with.
+def outcomes(step: Stepper, x: Tensor, rewards: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rewards (n,) at states (n, nx), and which runs are terminated and truncated there, by a time limit.
 
-    One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either.
+    One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either. Where the
+    objective has a terminal cost, the time limit terminates: what comes after is paid for, and no value stands for it.
     """
     lost, final = step.left(x), step.final_rewards(x)
-    staying = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)
-    return torch.where(lost, torch.minimum(rewards, staying), rewards), lost, final
+    late, end = last & ~lost, rewards if final is None else rewards + final
+    paid = torch.where(lost, torch.minimum(rewards, end / (1 - PPOConfig.gamma)), torch.where(late, end, rewards))
+    return paid, lost | (late & (final is not None)), late & (final is None)
 
 
 def network_input_gradient(
