@@ -160,7 +160,7 @@ class EpisodeEnv:
         return following, successor, reward, terminated, truncated
 
     def _begun(self, rows: Any) -> Tensor:
-        """Observations (runs, ·), where nothing was before those of `rows`."""
+        """Observations (runs, ·) where `rows` begin anew."""
         self._observations.begin(rows, self._x, self._k)
         return self._seen(self._x)
 
@@ -170,9 +170,9 @@ class EpisodeEnv:
 
 
 class Observations:
-    """What an agent sees of n episodes that step together: states, or last outputs and inputs.
+    """States, or last outputs and inputs, that an agent sees.
 
-    Outputs are those of each episode's design, with its noise.
+    Of n episodes that step together, each with the outputs of its design and noise of its own.
     """
 
     def __init__(self, problem: CoDesignProblem, output: Any, history: int, runs: int) -> None:
@@ -202,7 +202,7 @@ class Observations:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Range of what is seen, of outputs for states within X at the first design."""
+        """Range seen, of outputs within X at the first design."""
         scale = self.problem.state_scale
         if not self.history:
             return -scale[self.hidden :], scale[self.hidden :]
@@ -222,13 +222,13 @@ class Observations:
             kept[rows] = noise[:, :steps]
 
     def begin(self, rows: Any, x: Tensor, k: Any) -> None:
-        """Forget what was before states (n, nx) in some rows."""
+        """Begin rows at states (n, nx) anew."""
         for part in self.past[:2]:
             part[rows] = 0.0
         self.take(rows, x, x.new_zeros(len(x), self.problem.model.nu), k)
 
     def take(self, rows: Any, x: Tensor, u: Tensor, k: Any) -> None:
-        """Measure some rows of states (n, nx) after inputs (n, nu), at sample k or (n,)."""
+        """Measure rows of states (n, nx) after inputs (n, nu)."""
         if not self.history:
             return
         outputs, inputs, noise = self.past
@@ -241,7 +241,7 @@ class Observations:
             part[rows] = np.concatenate([latest[rows, None], part[rows, :-1]], axis=1)
 
     def seen(self, x: Tensor) -> Tensor:
-        """States (n, ·) that are not hidden, or histories (n, m (ny + nu))."""
+        """States (n, ·) not hidden, or histories (n, m (ny + nu))."""
         if not self.history:
             return x[:, self.hidden :]
         return torch.from_numpy(np.concatenate([part.reshape(len(x), -1) for part in self.past[:2]], axis=1))
@@ -253,7 +253,7 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
 
 
 def outcomes(step: Stepper, x: Tensor, rewards: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Rewards (n,) at states (n, nx), and which runs are terminated and truncated there, by a time limit.
+    """Rewards, terminated and truncated (n,) at states (n, nx).
 
     One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either. Where the
     objective has a terminal cost, the time limit terminates: what comes after is paid for, and no value stands for it.

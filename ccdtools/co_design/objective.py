@@ -73,7 +73,7 @@ class Objective(Immutable):
         return None
 
     def jump(self, X: tuple[Array, Array], U: tuple[Array, Array], design: tuple[Array, Array]) -> str:
-        """Where it jumps within bounds, in words; empty where no jump is known."""
+        """Where it jumps within bounds; empty if unknown."""
         return ""
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:

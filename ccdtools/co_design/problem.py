@@ -209,7 +209,7 @@ class CoDesignProblem(Immutable):
         return model
 
     def _check_inputs(self) -> None:
-        """Raise an `InputError` if U is wider than what the model takes."""
+        """Raise an `InputError` if U is too wide."""
         (lower, upper), (low, high) = self.input_bounds, self.model.input_bounds
         lowest, highest = np.float32(low), np.float32(high)  # environments have them in single precision
         if (np.float32(lower) < lowest).any() or (np.float32(upper) > highest).any():

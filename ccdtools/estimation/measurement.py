@@ -148,6 +148,6 @@ def _as_noise(value: Any) -> Any:
 
 
 def check_channels(noise: Array, outputs: int) -> None:
-    """Raise an `InputError` unless noise (n, T, ny) has a channel for each output."""
+    """Raise an `InputError` unless noise has these channels."""
     if noise.shape[2] != outputs:
         raise InputError("output.noise", f"{noise.shape[2]} channels", f"{outputs}, one per output")

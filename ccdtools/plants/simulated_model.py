@@ -97,7 +97,7 @@ class SimulatedModel(Immutable):
 
     @property
     def input_bounds(self) -> Any:
-        """Inputs that the simulator takes, lower and upper; any where it states none."""
+        """Lower and upper inputs that the simulator takes."""
         return getattr(self.box, "input_bounds", DiscreteModel.input_bounds)
 
     @property
