@@ -102,7 +102,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
         *pairs, seen = of_episodes(step, lambda x: x.new_tensor(law(x.numpy())), scenarios)
         states, inputs = (part.numpy() for part in pairs)
         within = (np.abs(states) <= problem.limit).all(axis=1)
-        return states[within], inputs[within], float(seen.total.nan_to_num(-np.inf).mean())
+        return states[within], inputs[within], float(seen.total.mean())
 
     try:
         states, _, tangent = driven(saturated_lqr(problem, p))

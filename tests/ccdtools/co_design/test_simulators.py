@@ -324,3 +324,4 @@ def test_a_simulator_that_gives_no_number_loses_the_run_and_is_left_out_of_the_s
     found = stochastic_linearisation(problem, [1.0], np.random.default_rng(0))
     np.testing.assert_allclose(found.A, [[1.0, 0.1], [0.0, 1.0]], atol=1e-6)
     assert not found.better  # both lose their runs
+    assert np.isfinite([found.mean_return, found.tangent_return]).all()
