@@ -267,7 +267,7 @@ class PPO:
     Parameters
     ----------
     agent : ActorCritic
-        Trained in place.
+        Trained in place, but for parameters that are frozen when it is given.
     config : PPOConfig
     given : int
         Number of the last entries of observations whose scales stay as they are: of a design, for instance, the range.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
-from ccdtools.co_design.environment import divergence_of, output_extent, paid, remembered
+from ccdtools.co_design.environment import Observations, divergence_of, outcomes
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.controllers.history import History
@@ -129,13 +129,14 @@ class DesignEnv(Base):
             raise InputError("design", "none", "the design at which the controller acts")
 
         def controller(x: Array) -> Array:
-            seen = self._episodes.observed(np.asarray(x, float), chosen)
+            seen = self._episodes.observed(np.asarray(x, float)[..., self._episodes.observations.hidden :], chosen)
             with torch.no_grad():
                 actions = policy(torch.from_numpy(seen)) if isinstance(policy, torch.nn.Module) else policy(seen)
             found = actions[0] if isinstance(actions, tuple) else actions
             return self._episodes.inputs(np.asarray(found, float), chosen)
 
-        return History(controller, self._episodes.history) if self._episodes.history else controller
+        history = self._episodes.observations.history
+        return History(controller, history) if history else controller
 
     def _seen(self) -> tuple[Array, dict[str, Any]]:
         """Observation and information."""
@@ -257,17 +258,11 @@ class _Episodes:
         self._k = np.zeros(runs, int)
         self._x = self._e = torch.zeros(runs, problem.model.nx)
         self._w = torch.zeros(0)
-        self.history, self._measurement = remembered(problem, output, history)
-        self._middle, self._half = np.zeros(problem.model.nx), problem.state_scale  # of what an agent knows
-        if self._measurement is not None:
-            at = problem.design.centre if self.fixed is None else self.fixed
-            extent = output_extent(problem, self._measurement.at(problem.model.nx, problem.model.nu, at))
-            self._noise = np.zeros((runs, problem.steps, len(extent)))
-            self._y = np.zeros((runs, history, len(extent)))  # the latest first
-            self._u = np.zeros((runs, history, problem.model.nu))
-            lower, upper = problem.input_bounds
-            parts = ((0 * extent, extent), ((upper + lower) / 2, (upper - lower) / 2))
-            self._middle, self._half = (np.concatenate([np.tile(one, history) for one in pair]) for pair in zip(*parts))
+        self.observations = Observations(problem, output, history, runs)
+        if self.fixed is not None:
+            self.observations.move(self.designs)
+        low, high = self.observations.bounds
+        self._middle, self._half = (high + low) / 2, (high - low) / 2
 
     def spaces(self) -> tuple[Any, Any]:
         """Spaces of observations and of actions."""
@@ -290,12 +285,10 @@ class _Episodes:
             self._w[row] = w[case]
             x[row], e[row] = x0[case], 0.0
             self._k[row], self.over[row] = 0, False
-            if self._measurement is not None:
-                noise = self._measurement.drawn(1, self.problem.steps, rng).noise
-                self._noise[row] = 0.0 if noise is None else noise[0, : self.problem.steps]
-                self._y[row] = self._u[row] = 0.0
+            self.observations.draw([row], rng)
         self._x, self._e = x, e
-        self._measure(np.array([row for row, _, _ in begun]), np.zeros((len(begun), self.problem.model.nu)))
+        self.observations.move(self.designs)
+        self.observations.begin([row for row, _, _ in begun], x, self._k)
         alike = (self.designs == self.designs[0]).all()
         at = self.designs[0] if alike else self.designs
         stepper = Stepper.at(self.problem, torch.tensor(at, dtype=torch.float32))
@@ -307,16 +300,13 @@ class _Episodes:
         now = torch.from_numpy(np.minimum(self._k, self.problem.steps - 1))
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[torch.arange(len(now)), now])
-            rewards, lost, final = paid(self._stepper, self._x, rewards)
-            left = lost.numpy()
-        self._k += 1
-        self._measure(np.arange(len(now)), inputs.double().numpy())
-        late = (self._k >= self.problem.steps) & ~left
-        self.over = left | late
-        earned = rewards.double().numpy()
-        if final is None:
-            return earned, left, late
-        return earned + np.where(late, final.double().numpy(), 0.0), self.over.copy(), np.zeros_like(late)  # it is paid
+            self._k += 1
+            last = torch.from_numpy(self._k >= self.problem.steps)
+            parts = outcomes(self._stepper, self._x, rewards, last)
+        self.observations.take(slice(None), self._x, inputs, self._k)
+        earned, terminated, truncated = (part.numpy() for part in parts)
+        self.over = terminated | truncated
+        return earned.astype(float), terminated, truncated
 
     def inputs(self, actions: Array, design: Array) -> Array:
         """Inputs (..., nu) in the units of the plant, at designs (..., np)."""
@@ -328,23 +318,8 @@ class _Episodes:
         return self._x.double().numpy()
 
     def known(self) -> Array:
-        """States (n, nx), or histories (n, m (ny + nu))."""
-        if not self.history:
-            return self.states()
-        return np.concatenate([one.reshape(len(one), -1) for one in (self._y, self._u)], axis=1)
-
-    def _measure(self, rows: Any, u: Array) -> None:
-        """Take in outputs after inputs (len(rows), nu)."""
-        if self._measurement is None:
-            return
-        model, x = self.problem.model, self.states()
-        for p in np.unique(self.designs[rows], axis=0):
-            at = (self.designs[rows] == p).all(axis=1)
-            with np.errstate(all="ignore"):  # of a run that is lost
-                y = self._measurement.at(model.nx, model.nu, p).of(x[rows[at]], u[at])
-            y = y + self._noise[rows[at], self._k[rows[at]] % self.problem.steps]
-            for past, latest in ((self._y, y), (self._u, u[at])):
-                past[rows[at]] = np.concatenate([latest[:, None], past[rows[at], :-1]], axis=1)
+        """States (n, ·), or histories (n, m (ny + nu))."""
+        return self.observations.seen(self._x).double().numpy()
 
     def observed(self, known: Array, design: Array) -> Array:
         """Observations (..., n_obs) of what is `known`, at designs (..., np)."""

@@ -111,13 +111,9 @@ class Stepper:
         return cls(problem, *at, p, p.new_tensor(problem.limit.tolist()), carry)
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Next states (n, nx), errors (n, nx) and rewards (n,).
-
-        A state that is no number, as of a simulator, stands where it just counts as lost.
-        """
+        """Next states (n, nx), errors (n, nx) and rewards (n,)."""
         x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
-        beyond = torch.nextafter(self.limit, self.limit.new_tensor(math.inf))
-        x_next = torch.where(x_next.isfinite(), x_next, beyond)
+        x_next = self.numbers(x_next)
         return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
     def drive(self, w: Tensor) -> Tensor:
@@ -154,6 +150,11 @@ class Stepper:
         """Rewards (n,) of final states (n, nx); None if nothing counts."""
         final: Tensor | None = self.problem.objective.final_rewards(x, self.p)
         return final
+
+    def numbers(self, x: Tensor) -> Tensor:
+        """States (n, nx), just beyond the divergence limit where a simulator gave no number."""
+        beyond = torch.nextafter(self.limit, self.limit.new_tensor(math.inf))
+        return torch.where(x.isfinite().all(-1, keepdim=True), x, beyond)
 
     def left(self, x: Tensor) -> Tensor:
         """States (..., nx) beyond the divergence limit, (...,) bool."""
@@ -307,7 +308,7 @@ def _segment(
         u = law(x)
         x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
         if guarded:
-            x_next = torch.where(running[:, None], x_next, x)
+            x_next = torch.where(running[:, None], step.numbers(x_next), x)
             e_next = torch.where(running[:, None], e_next, e)
             going.append(running)
             running = running & ~step.left(x_next.detach())

@@ -16,8 +16,7 @@ from ccdtools.co_design.budgets import RANGE_POINTS
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
-from ccdtools.estimation.measurement import Measurement, as_measurement
-from ccdtools.estimation.outputs import Output
+from ccdtools.estimation.measurement import as_measurement, check_channels
 from ccdtools.exceptions import InputError
 from ccdtools_ground.content import content_of
 from ccdtools_ground.door import as_count, as_generator, as_instance, as_positive
@@ -77,8 +76,8 @@ class EpisodeEnv:
         self.runs = as_count("runs", runs)
         self.given = problem.design.dim
         self._rng = as_generator("rng", rng)
-        self.history, self._measurement = remembered(problem, output, history)
-        self._past: Tensor | None = None  # (runs, history, ny + nu), the latest first
+        self._observations = Observations(problem, output, history, runs)
+        self.history = self._observations.history
         if not isinstance(design, Tensor):
             design = torch.tensor(problem.design.check_feasible(design), dtype=torch.float32)
         self.move(design)
@@ -90,18 +89,15 @@ class EpisodeEnv:
         limits = bounds if isinstance(bounds, DesignLimits) else None
         lower, upper = limits.box if limits is not None else self.problem.input_bounds
         if self.history:
-            nx, extent = self.problem.model.nx, output_extent(self.problem, self._output)
-            most, least = (np.concatenate([np.tile(sign * extent, self.history), np.tile(bound, self.history), end])
-                           for sign, bound, end in ((1, upper, high[nx:]), (-1, lower, low[nx:])))  # fmt: skip
-            low, high = least, np.maximum(most, least + np.finfo(np.float32).eps)
+            own = zip(self._observations.bounds, (low, high))
+            low, high = (np.r_[seen, end[len(end) - self.given :]] for seen, end in own)
+            high = np.maximum(high, low + np.finfo(np.float32).eps)
         return ActorCritic(low, high, lower, upper, config=config, seed=seed, action_limits=limits)
 
     def move(self, p: Tensor) -> None:
         """Change the design, before a reset."""
         self._step = Stepper.at(self.problem, p.detach()).within(self.divergence)
-        model = self.problem.model
-        if self._measurement is not None:
-            self._output = self._measurement.at(model.nx, model.nu, self._step.p.double().numpy())
+        self._observations.move(np.tile(self._step.p.double().numpy(), (self.runs, 1)))
 
     def reset(self) -> Tensor:
         """Fresh scenarios; observations (runs, nx + np)."""
@@ -109,16 +105,15 @@ class EpisodeEnv:
         self._x = self._x0
         self._e = torch.zeros_like(self._x0)
         self._k = 0
-        if self._measurement is not None:
-            noise = self._measurement.drawn(self.runs, self.problem.steps, self._rng).noise
-            self._v = torch.zeros(1, self.problem.steps, 1) if noise is None else torch.tensor(noise).float()
-        return self._begun(self._x0)
+        self._observations.draw(slice(None), self._rng)
+        return self._begun(slice(None))
 
     def state(self) -> dict[str, Any]:
         """Episodes where they stand, for `restore`."""
-        kept = ("_x0", "_w", "_x", "_e", *(("_v", "_past") if self.history else ()))
-        tensors = {name: getattr(self, name) for name in kept}
-        return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state, "told": self._told()}
+        tensors = {name: getattr(self, name) for name in ("_x0", "_w", "_x", "_e")}
+        past = [torch.tensor(part) for part in self._observations.past]
+        return {"tensors": tensors, "past": past, "k": self._k, "rng": self._rng.bit_generator.state,
+                "told": self._told()}  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`.
@@ -134,6 +129,8 @@ class EpisodeEnv:
             raise InputError("state", words.format(*state["told"]), words.format(*self._told()))
         for name, tensor in state["tensors"].items():
             setattr(self, name, tensor)
+        for part, kept in zip(self._observations.past, state["past"]):
+            part[:] = kept.numpy()
         self._k = state["k"]
         self._rng.bit_generator.state = state["rng"]
 
@@ -144,69 +141,110 @@ class EpisodeEnv:
     @cached_property
     def _content(self) -> str:
         """Digest of problem and sensors."""
-        return content_of((self.problem, self._measurement))
+        return content_of((self.problem, self._observations.measurement))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
-        reward, terminated, final = paid(self._step, x, reward)
         self._k += 1
-        truncated = torch.full_like(terminated, self._k >= self.problem.steps) & ~terminated
-        if final is not None:  # what comes after the end is paid for: no value stands for it
-            reward = reward + torch.where(truncated, final, 0.0)
-            terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
-        successor = self._seen(x, actions)
+        last = torch.tensor(self._k >= self.problem.steps)
+        reward, terminated, truncated = outcomes(self._step, x, reward, last)
+        self._observations.take(slice(None), x, actions, self._k)
+        successor = self._seen(x)
         if self._k >= self.problem.steps:
             return self.reset(), successor, reward, terminated, truncated
-        restart, again = terminated[:, None], self._x0.roll(self._k, 0)
-        self._x = torch.where(restart, again, x)
+        restart = terminated[:, None]
+        self._x = torch.where(restart, self._x0.roll(self._k, 0), x)
         self._e = torch.where(restart, 0.0, e)
-        if not terminated.any():
-            return successor, successor, reward, terminated, truncated
-        past = self._past
-        following = torch.where(restart, self._begun(again), successor)
-        if past is not None and self._past is not None:
-            self._past = torch.where(restart[:, None], self._past, past)
+        following = self._begun(terminated.numpy()) if terminated.any() else successor
         return following, successor, reward, terminated, truncated
 
-    def _begun(self, x: Tensor) -> Tensor:
-        """Observations of states (runs, nx) with nothing before them."""
-        self._past = None
-        return self._seen(x, torch.zeros(self.runs, self.problem.model.nu))
+    def _begun(self, rows: Any) -> Tensor:
+        """Observations (runs, ·) where `rows` begin anew."""
+        self._observations.begin(rows, self._x, self._k)
+        return self._seen(self._x)
 
-    def _seen(self, x: Tensor, u: Tensor) -> Tensor:
-        """Observations of states (runs, nx) after inputs (runs, nu), which a history takes in."""
+    def _seen(self, x: Tensor) -> Tensor:
+        """Observations (runs, ·) at states (runs, nx)."""
+        return observe(self._observations.seen(x), self._step.p)
+
+
+class Observations:
+    """States, or last outputs and inputs, that an agent sees.
+
+    Of n episodes that step together, each with the outputs of its design and noise of its own.
+    """
+
+    def __init__(self, problem: CoDesignProblem, output: Any, history: int, runs: int) -> None:
+        self.problem = problem
+        self.history = as_count("history", history, least=0)
+        stated = problem.measurement if output is None else output
+        if (output is not None and history == 0) or (history and stated is None):
+            got = "a history without an output" if history else "an output without a history"
+            raise InputError("output, history", got, "both, or neither")
+        if history == 0 and stated is not None:
+            cure = "Of replace(problem, measurement=None) an agent sees the state."
+            raise InputError("history", 0, "at least 1, of a problem with a measurement", cure)
+        self.measurement = as_measurement(stated) if history else None
+        self.hidden = 0 if history else problem.hidden
+        self.move(np.tile(problem.design.centre, (runs, 1)))
+        nu = problem.model.nu
+        ny = len(self.bounds[0]) // history - nu if history else 0
+        sizes = ((history, ny), (history, nu), (problem.steps, ny))  # outputs and inputs, the latest first, and noise
+        self.past = tuple(np.zeros((runs, *size), np.float32) for size in sizes)
+
+    def move(self, designs: Array) -> None:
+        """Measure at designs (n, np)."""
+        model, sensor = self.problem.model, self.measurement
+        self._outputs = [] if sensor is None else [
+            ((designs == p).all(axis=1), sensor.at(model.nx, model.nu, p)) for p in np.unique(designs, axis=0)
+        ]  # fmt: skip
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Range seen, of outputs within X at the first design."""
+        scale = self.problem.state_scale
         if not self.history:
-            return observe(x[:, self.problem.hidden :], self._step.p)
-        y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float()
-        y = y + self._v[:, self._k % self.problem.steps]
-        latest = torch.cat([y, u], dim=1)[:, None]
-        before = latest.new_zeros(self.runs, self.history, latest.shape[2]) if self._past is None else self._past
-        self._past = torch.cat([latest, before[:, :-1]], dim=1)
-        outputs, inputs = self._past.split([y.shape[1], u.shape[1]], dim=2)
-        return observe(torch.cat([outputs.flatten(1), inputs.flatten(1)], dim=1), self._step.p)
+            return -scale[self.hidden :], scale[self.hidden :]
+        x = np.random.default_rng(0).uniform(-scale, scale, (RANGE_POINTS, len(scale)))
+        y = np.abs(self._outputs[0][1].of(x, np.zeros((len(x), self.problem.model.nu)))).max(axis=0)
+        y = np.where(y > 0, y, 1.0)
+        low, high = (np.r_[np.tile(end, self.history), np.tile(u, self.history)]
+                     for end, u in zip((-y, y), self.problem.input_bounds))  # fmt: skip
+        return low, high
 
+    def draw(self, rows: Any, rng: np.random.Generator) -> None:
+        """Draw the noise of rows that begin."""
+        kept, sensor, steps = self.past[2], self.measurement, self.problem.steps
+        noise = None if sensor is None else sensor.drawn(len(kept[rows]), steps, rng).noise
+        if noise is not None:
+            check_channels(noise, kept.shape[2])
+            kept[rows] = noise[:, :steps]
 
-def remembered(problem: CoDesignProblem, output: Any, history: int) -> tuple[int, Measurement | None]:
-    """Length of the history, and its measurement."""
-    history = as_count("history", history, least=0)
-    if history == 0 and output is not None:
-        raise InputError("output, history", "an output without a history", "both, or neither")
-    stated = problem.measurement if output is None else output
-    if history == 0 and stated is not None:
-        cure = "Of replace(problem, measurement=None) an agent sees the state."
-        raise InputError("history", 0, "at least 1, of a problem with a measurement", cure)
-    if history and stated is None:
-        raise InputError("output, history", "a history without an output", "both, or neither")
-    return history, as_measurement(stated) if history else None
+    def begin(self, rows: Any, x: Tensor, k: Any) -> None:
+        """Begin rows at states (n, nx) anew."""
+        for part in self.past[:2]:
+            part[rows] = 0.0
+        self.take(rows, x, x.new_zeros(len(x), self.problem.model.nu), k)
 
+    def take(self, rows: Any, x: Tensor, u: Tensor, k: Any) -> None:
+        """Measure rows of states (n, nx) after inputs (n, nu)."""
+        if not self.history:
+            return
+        outputs, inputs, noise = self.past
+        states, applied = x.double().numpy(), u.double().numpy()
+        y = noise[np.arange(len(x)), k % self.problem.steps]
+        with np.errstate(all="ignore"):  # of a run that is lost
+            for at, output in self._outputs:
+                y[at] += output.of(states[at], applied[at]).astype(np.float32)
+        for part, latest in ((outputs, y), (inputs, applied)):
+            part[rows] = np.concatenate([latest[rows, None], part[rows, :-1]], axis=1)
 
-def output_extent(problem: CoDesignProblem, output: Output) -> Array:
-    """Largest |y| (ny,) at states within X; 1 where it is 0."""
-    nx, (low, high) = problem.model.nx, problem.observation_bounds
-    x = np.random.default_rng(0).uniform(low[:nx], high[:nx], (RANGE_POINTS, nx))
-    largest = np.abs(output.of(x, np.zeros((len(x), problem.model.nu)))).max(axis=0)
-    return np.where(largest > 0, largest, 1.0)
+    def seen(self, x: Tensor) -> Tensor:
+        """States (n, ·) not hidden, or histories (n, m (ny + nu))."""
+        if not self.history:
+            return x[:, self.hidden :]
+        return torch.from_numpy(np.concatenate([part.reshape(len(x), -1) for part in self.past[:2]], axis=1))
 
 
 def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
@@ -214,14 +252,16 @@ def divergence_of(problem: CoDesignProblem, divergence: float | None) -> float:
     return min(1.5, problem.divergence) if divergence is None else as_positive("divergence", divergence)
 
 
-def paid(step: Stepper, x: Tensor, rewards: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Rewards (n,) at states (n, nx), which runs are lost, and what an end there is rewarded with.
+def outcomes(step: Stepper, x: Tensor, rewards: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rewards, terminated and truncated (n,) at states (n, nx).
 
-    One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either.
+    One that is lost stays there, by the default discount: a time limit is no end to what PPO raises, either. Where the
+    objective has a terminal cost, the time limit terminates: what comes after is paid for, and no value stands for it.
     """
     lost, final = step.left(x), step.final_rewards(x)
-    staying = (rewards if final is None else rewards + final) / (1 - PPOConfig.gamma)
-    return torch.where(lost, torch.minimum(rewards, staying), rewards), lost, final
+    late, end = last & ~lost, rewards if final is None else rewards + final
+    paid = torch.where(lost, torch.minimum(rewards, end / (1 - PPOConfig.gamma)), torch.where(late, end, rewards))
+    return paid, lost | (late & (final is not None)), late & (final is None)
 
 
 def network_input_gradient(

@@ -72,6 +72,10 @@ class Objective(Immutable):
         """Rewards (...,) of final states (..., nx); None if nothing counts."""
         return None
 
+    def jump(self, X: tuple[Array, Array], U: tuple[Array, Array], design: tuple[Array, Array]) -> str:
+        """Where it jumps within bounds; empty if unknown."""
+        return ""
+
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
         """Quadratic step cost about rest at a design (np,)."""
         raise NotImplementedError

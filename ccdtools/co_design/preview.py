@@ -124,8 +124,7 @@ class PreviewedObjective(Objective):
 
     def jump(self, X: tuple[Array, Array], *others: tuple[Array, Array]) -> str:
         """Where the other jumps."""
-        jump = getattr(self.own, "jump", None)
-        return "" if jump is None else str(jump((self._own(X[0]), self._own(X[1])), *others))
+        return self.own.jump((self._own(X[0]), self._own(X[1])), *others)
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
         """Rewards (...,) of x (..., nx + register) and u (..., nu)."""

@@ -170,7 +170,6 @@ class CoDesignProblem(Immutable):
             raise InputError("U", "a set that is not a box", "independent bounds on each input")
         if not U.contains(np.zeros(model.nu)):
             raise InputError("U", "a set without the origin", "one that holds the input 0, which keeps the state at 0")
-        _check_taken(model, *self.input_bounds)
         sizes = (model.nx, model.nu, model.design.dim)
         as_objective("objective", self.objective).check(*sizes)
         if not self.objective.judges(*sizes):
@@ -181,6 +180,7 @@ class CoDesignProblem(Immutable):
         self._set(steps=as_count("steps", self.steps))
         self._set(objective=self.objective.over(self.steps))
         self._set(model=self._differenced(model))
+        self._check_inputs()
         as_risk("risk", self.risk)
         if isinstance(self.risk, WorstCase):
             risk = self.risk.over(self.scenarios) if self.discrepancy is None else of_logged_runs(self.risk)
@@ -207,6 +207,14 @@ class CoDesignProblem(Immutable):
         model = model if model.design is not None else model.within(NO_DESIGN)
         _check_widths(model.design)
         return model
+
+    def _check_inputs(self) -> None:
+        """Raise an `InputError` if U is too wide."""
+        (lower, upper), (low, high) = self.input_bounds, self.model.input_bounds
+        lowest, highest = np.float32(low), np.float32(high)  # environments have them in single precision
+        if (np.float32(lower) < lowest).any() or (np.float32(upper) > highest).any():
+            expected = f"bounds within {low} and {high}, which the simulator takes"
+            raise InputError("U", f"inputs from {lower} to {upper}", expected)
 
     def _check_over_designs(self) -> None:
         """Raise an `InputError` unless designs have finite costs and weights for LQR and MPC."""
@@ -334,12 +342,7 @@ class CoDesignProblem(Immutable):
     @cached_property
     def jump(self) -> str:
         """Where plant or cost jumps, which gradients do not see; empty where no jump is known."""
-        of_plant: str = getattr(self.model, "jump", "")
-        cost = getattr(self.objective, "jump", None)
-        if of_plant or cost is None:
-            return of_plant
-        space = self.design
-        return str(cost(widest(self.X).bounding_box(), self.input_bounds, (space.lower, space.upper)))
+        return self.model.jump or self.objective.jump(*self._boxes, (self.design.lower, self.design.upper))
 
     @property
     def design(self) -> DesignSpace:
@@ -456,14 +459,6 @@ def _check_widths(design: DesignSpace) -> None:
             f"a box of designs at least {NARROWEST:g} times as wide as its bounds are large",
             "Let the parameter be the deviation from its lower bound.",
         )  # fmt: skip
-
-
-def _check_taken(model: Any, lower: Array, upper: Array) -> None:
-    """Raise an `InputError` if inputs (nu,) are none that an environment takes."""
-    taken = getattr(getattr(getattr(model, "box", model), "advance", None), "actions", None)
-    if taken is not None and not all(taken.contains(end.astype(taken.dtype)) for end in (lower, upper)):
-        expected = f"bounds within {taken.low} and {taken.high}, the actions of the environment"
-        raise InputError("U", f"inputs from {lower} to {upper}", expected)
 
 
 def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:

@@ -70,7 +70,7 @@ def stochastic_linearisation(problem: CoDesignProblem, design: ArrayLike, rng: n
     Raises
     ------
     InputError
-        If an argument is of the wrong kind.
+        If an argument is of the wrong kind, or the first round has too few steps to fit.
     NotStabilisableError
         If no round finds matrices that can be stabilised.
 
@@ -102,7 +102,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
         *pairs, seen = of_episodes(step, lambda x: x.new_tensor(law(x.numpy())), scenarios)
         states, inputs = (part.numpy() for part in pairs)
         within = (np.abs(states) <= problem.limit).all(axis=1)
-        return states[within], inputs[within], float(seen.total.nan_to_num(-np.inf).mean())
+        return states[within], inputs[within], float(seen.total.mean())
 
     try:
         states, _, tangent = driven(saturated_lqr(problem, p))
@@ -113,18 +113,16 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
     inputs = np.clip(EXCITATION * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
     best: Linearisation | None = None
     for _ in range(4):  # each fits over the loop of the one before
-        fit = _least_squares(problem, p, states, inputs, rng)
         try:
+            fit = _least_squares(problem, p, states, inputs, rng)
             law = affine_lqr(problem, p, *fit)
-        except NotStabilisableError:
+        except (NotStabilisableError, InputError):
             if best is None:
                 raise
             break
         states, inputs, mean = driven(law)
         if best is None or mean > best.mean_return:
             best = Linearisation(*fit, law, mean, tangent, abs(float(problem.made_by_control(mean, p))))
-        if not len(states):
-            break
     assert best is not None
     return best
 
@@ -137,9 +135,9 @@ def _least_squares(
     pairs = np.hstack([x, u])
     after = problem.model.stepper(p, batch=1)(x, u, np.tile(problem.mean_disturbance, (len(x), 1)))
     kept = np.isfinite(after).all(axis=1)  # not where a simulator gives no number
-    if not kept.all() and kept.sum() <= pairs.shape[1]:
-        got = f"numbers after {kept.sum()} of {len(kept)} steps"
-        raise InputError("model", got, f"more than {pairs.shape[1]}, which a linearisation is fitted to")
+    if kept.sum() <= pairs.shape[1]:
+        got = f"numbers after {kept.sum()} of {len(kept)} steps of runs that are not lost"
+        raise InputError("problem", got, f"more than {pairs.shape[1]}, which a linearisation is fitted to")
     pairs, after = pairs[kept], after[kept]
     mean, mean_after = pairs.mean(axis=0), after.mean(axis=0)
     fit = np.linalg.lstsq(pairs - mean, after - mean_after, rcond=None)[0].T

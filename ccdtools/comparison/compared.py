@@ -9,10 +9,9 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.comparison.experiment_record import Cell, Record
-from ccdtools.comparison.idle import nothing_done
 from ccdtools.comparison.seeds import interquartile_mean, mean_over_seeds, share_over_seeds
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Violation
-from ccdtools.evidence.percent import word_of_gain
+from ccdtools.evidence.percent import nothing_done, word_of_gain
 from ccdtools.limits import Excursions, further_outside
 from ccdtools.statistics import PairedDifference
 

@@ -16,7 +16,6 @@ from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.budgets import TIMED_CALLS
 from ccdtools.comparison.c_step_time import NONE, c_step_time
-from ccdtools.comparison.idle import nothing_done
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
@@ -24,6 +23,7 @@ from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Driver, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
+from ccdtools.evidence.percent import nothing_done
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits

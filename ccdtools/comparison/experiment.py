@@ -255,8 +255,8 @@ def experiment(
     Raises
     ------
     InputError
-        If an argument is of the wrong kind or size, seeds repeat, no controller has the name of the baseline, or the
-        folder cannot be written or read.
+        If an argument is of the wrong kind or size, seeds repeat, no controller has the name of the baseline, no plant
+        works for one sample from any start at any design, or the folder cannot be written or read.
     """
     made = as_mapping("controllers", controllers, "a mapping of names to functions (design, rng) -> controller")
     for name, maker in made.items():

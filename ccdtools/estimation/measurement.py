@@ -84,7 +84,7 @@ class Measurement(Immutable):
         if len(noise) not in (1, runs) or noise.shape[1] < steps:
             raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")
         if isinstance(self.output, Plant | np.ndarray):
-            _check_channels(noise, self.output.ny if isinstance(self.output, Plant) else len(self.output))
+            check_channels(noise, self.output.ny if isinstance(self.output, Plant) else len(self.output))
         return replace(self, noise=as_finite("output.noise", noise))
 
     def first(self, runs: int, steps: int) -> Measurement:
@@ -117,7 +117,7 @@ class Measurement(Immutable):
             noise = drawn()
             if noise is None:
                 return y
-            _check_channels(noise, y.shape[1])
+            check_channels(noise, y.shape[1])
             return np.asarray(y + noise[:, k])
 
         return measured
@@ -147,6 +147,7 @@ def _as_noise(value: Any) -> Any:
     return frozen(noise[None] if noise.ndim == 2 else noise)
 
 
-def _check_channels(noise: Array, outputs: int) -> None:
+def check_channels(noise: Array, outputs: int) -> None:
+    """Raise an `InputError` unless noise has these channels."""
     if noise.shape[2] != outputs:
         raise InputError("output.noise", f"{noise.shape[2]} channels", f"{outputs}, one per output")

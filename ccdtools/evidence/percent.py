@@ -73,6 +73,11 @@ def word_of_gain(mean: float, low: float, high: float) -> str:
     return "worse" if high < -SAME_RETURN and mean <= -NOT_WORSE else "open"
 
 
+def nothing_done(place: str) -> str:
+    """Remark on a baseline whose inputs were all 0."""
+    return f"does nothing on {place}: all its inputs were 0, so that a gain over it is one over the plant left alone"
+
+
 def in_measure(measure: str) -> str:
     """Phrase such as " in the mean of the worst 10 %"; empty for the mean."""
     return "" if measure == "mean" else f" in the {measure}"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools_ground.content import content_of
@@ -43,6 +43,8 @@ class BlackBox(Immutable):
     step_limit : float, optional
         Longest time of a call [s]. `advance` then runs in a process of its own, which may hang or die; a call costs
         about 0.1 ms more. Loading a simulator counts as its first call.
+    input_bounds : (lower, upper), each a number or (nu,)
+        Inputs that it takes, in which the U of a problem lies; any by default.
 
     Raises
     ------
@@ -68,6 +70,7 @@ class BlackBox(Immutable):
     design: DesignSpace = NO_DESIGN
     batched: bool = False
     step_limit: float | None = None
+    input_bounds: ArrayField = (-np.inf, np.inf)
 
     def __post_init__(self) -> None:
         if not callable(self.advance):
@@ -79,6 +82,10 @@ class BlackBox(Immutable):
         as_flag("batched", self.batched)
         if self.step_limit is not None:
             self._set(step_limit=as_positive("step_limit", self.step_limit, unit="s"))
+        bounds = as_floats("input_bounds", self.input_bounds)
+        if bounds.shape not in ((2,), (2, self.nu)) or np.isnan(bounds).any():
+            raise InputError("input_bounds", shown(self.input_bounds), f"(lower, upper), each a number or ({self.nu},)")
+        self._set(input_bounds=frozen(bounds))
 
     def __repr__(self) -> str:
         sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances"
@@ -186,7 +193,8 @@ def from_gymnasium(
     told = content_of((inner, read, write, build))  # what it holds before its first step
     advance = _EnvironmentStep(env, read, write, build, told)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
-    box = BlackBox(advance, nx=len(x), nu=len(u), dt=dt, design=design, step_limit=step_limit)
+    taken = env.action_space.low, env.action_space.high
+    box = BlackBox(advance, len(x), len(u), dt, design=design, step_limit=step_limit, input_bounds=taken)
     first, again = (box.step(x, u, np.zeros(0), design.project(design.centre)) for _ in range(2))
     if not np.array_equal(first, again, equal_nan=True):
         got = f"{shown(first)} and {shown(again)} after one step from one state"
@@ -219,11 +227,6 @@ class _EnvironmentStep:
         except Exception as error:
             raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
         return _read(self.read, inner)
-
-    @property
-    def actions(self) -> Any:
-        """Box of the inputs that the environment takes."""
-        return self.env.action_space
 
     def as_given(self) -> tuple[str]:
         """Content of the environment before its first step."""

@@ -263,7 +263,7 @@ class SymbolicFunction:
     def vector(self, *sizes: int) -> Vectorised:
         """Function with values (..., m) on arrays or tensors (..., size)."""
         if sizes not in self._compiled:
-            self._compiled[sizes] = Vectorised(self.function(*sizes))
+            self._compiled[sizes] = Vectorised(self.function(*sizes), self.argument)
         return self._compiled[sizes]
 
     def depends(self, *sizes: int) -> bool:

@@ -28,6 +28,8 @@ class DiscreteModel:
     nw: Any
     function: Any
     stepper: Any
+    jump = ""  # where it jumps, in words
+    input_bounds: Any = (-np.inf, np.inf)  # that it takes
 
     @cached_property
     def jacobian(self) -> ca.Function:

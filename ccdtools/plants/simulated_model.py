@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, NoReturn, Protocol
+from typing import Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools.plants.linear_model import DiscreteModel
 from ccdtools.plants.tolerances import SIMULATED_STEP
 
 Step = Callable[[Array, Array, Array], Array]
@@ -91,6 +92,13 @@ class SimulatedModel(Immutable):
     def nw(self) -> int:
         """Number of disturbances."""
         return self.box.nw + self.nx * self.errors
+
+    jump: ClassVar[str] = ""  # none is known of a simulator
+
+    @property
+    def input_bounds(self) -> Any:
+        """Lower and upper inputs that the simulator takes."""
+        return getattr(self.box, "input_bounds", DiscreteModel.input_bounds)
 
     @property
     def dt(self) -> float:

@@ -194,7 +194,6 @@ def _candidates(
     if problem.measurement is None:
         low, high = problem.state_limits(p).bounding_box()
         far = np.where(high >= -low, high, low)
-        far = np.where(np.isfinite(far), far, problem.state_scale)
         for name, start in zip(problem.state_names, np.diag(far / 2)):
             yield f"Starts half-way to X along {name}", law, np.broadcast_to(start, x0.shape)
 

@@ -140,6 +140,13 @@ def test_a_constraint_of_the_design_excuses_a_cost_from_what_it_forbids():
     assert own.weights(np.array([2.0, 0.5])).Q[0, 0] == pytest.approx(0.5)
 
 
+def test_a_cost_that_arrays_do_not_have_is_named():
+    table = ca.interpolant("table", "linear", [[-5.0, 0.0, 5.0]], [25.0, 0.0, 25.0])
+    cost = ca.Function("cost", [y := ca.MX.sym("x", 2), ca.MX.sym("u"), ca.MX.sym("p", 2)], [table(y[0])])
+    with pytest.raises(InputError, match="stage_cost: got the CasADi operations OP_CALL"):
+        problem(CustomObjective(cost, Q=Q, R=R))
+
+
 @pytest.mark.parametrize(
     ("extra", "jumps"),
     [

@@ -17,7 +17,7 @@ from ccdtools import (
     compare,
     saturated_lqr,
 )
-from ccdtools.co_design import DesignEnv, DesignVectorEnv
+from ccdtools.co_design import DesignEnv, DesignVectorEnv, EpisodeEnv
 from ccdtools.disturbances import Cases
 from learning import GymnasiumEnvs
 
@@ -142,6 +142,31 @@ def test_an_agent_is_a_controller_that_does_as_in_its_environment(problem, drawn
         total, ended = total + reward, any(flags)
     returns = closed_loop_returns(problem, env.controller(agent, design), design, rng=np.random.default_rng(0))
     assert total == pytest.approx(returns.values[0] + problem.cost_of_design(design), rel=1e-5)
+
+
+def test_an_agent_does_not_see_hidden_states(problem):
+    design, hidden = problem.design.centre, replace(problem, hidden=1)
+    env = DesignEnv(hidden, design)
+
+    def agent(seen):
+        return np.tanh(-3.0 * seen)
+
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.shape == observation.shape == (1,)
+    assert observation[0] == np.float32(info["state"][1] / problem.state_scale[1])
+    lower, upper = problem.input_bounds
+    inputs = lower + (upper - lower) / 2 * (1 + agent(observation))
+    np.testing.assert_allclose(env.controller(agent)(info["state"]), inputs, rtol=1e-6)
+
+
+def test_noise_of_other_channels_than_outputs_is_refused(problem):
+    def first(x):
+        return x[:, :1]
+
+    for kind, options in ((DesignEnv, {}), (EpisodeEnv, {"design": [1.0], "rng": np.random.default_rng(0)})):
+        env = kind(problem, output=Measurement(first, noise=[0.1, 0.1]), history=2, **options)
+        with pytest.raises(InputError, match=r"output\.noise: got 2 channels, expected 1, one per output"):
+            env.reset()
 
 
 NOISE = 0.05 * np.random.default_rng(7).standard_normal((400, 1))  # the same in every run

@@ -1,5 +1,7 @@
 """LQR of the linearisation over the visited states, where the tangent at rest is that of another plant."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -45,6 +47,12 @@ def test_a_stated_mean_of_the_disturbance_is_its_constant():
     E = own.model.matrices([1.0])[2]
     np.testing.assert_allclose(found.c, 0.5 * E[:, 0], atol=1e-8)
     np.testing.assert_allclose(found.controller.offset, cc.saturated_lqr(own, [1.0]).offset, rtol=1e-6)
+
+
+def test_runs_that_are_lost_from_the_start_tell_no_linearisation():
+    own = replace(problem("friction"), divergence=0.1)  # they start a third of X away
+    with pytest.raises(InputError, match="problem: got numbers after 0 of 0 steps of runs that are not lost"):
+        stochastic_linearisation(own, [1.0], np.random.default_rng(0))
 
 
 def cost_of_one_side(K, offset, runs=1000):

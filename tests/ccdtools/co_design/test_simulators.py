@@ -261,11 +261,24 @@ def test_inputs_that_an_environment_does_not_take_are_refused(step_limit):
              "objective": QuadraticObjective(np.eye(2), [[0.1]])}  # fmt: skip
     plant = from_gymnasium(gymnasium.make("Pendulum-v1"), step_limit=step_limit)
     for wide in ((-2, 2.1), lambda p: (-2.1, 1)):
-        with pytest.raises(InputError, match=r"U: got inputs from .*2.1.* within \[-2.\] and \[2.\], the actions"):
+        with pytest.raises(InputError, match=r"U: got inputs from .*2.1.* within \[-2.\] and \[2.\], which the sim"):
             CoDesignProblem(plant, U=wide, **given)
     problem = CoDesignProblem(plant, U=(-2, 2), **given)
     with pytest.raises(InputError, match="U: got inputs from"):
         replace(problem, U=(-3, 3))
+
+
+def test_a_function_may_state_the_inputs_that_it_takes():
+    given = {"nx": 1, "nu": 2, "dt": 0.1}
+    box = BlackBox(lambda x, u, w, p: x + 0.1 * u.sum(), **given, input_bounds=([-1.0, 0.0], [1.0, 0.5]))
+    stated = {"X": (-2, 2), "scenarios": FixedStart([1.0]), "objective": QuadraticObjective([[1.0]], np.eye(2))}
+    CoDesignProblem(box, U=([-1.0, 0.0], [1.0, 0.5]), **stated)
+    for wide in ((-1.0, 0.5), ([-1.0, 0.0], [1.0, 0.6])):
+        with pytest.raises(InputError, match=r"U: got inputs from .* which the simulator takes"):
+            CoDesignProblem(box, U=wide, **stated)
+    for wrong in ([0.0, 1.0, 2.0], ([0.0], [1.0]), (0.0, np.nan)):
+        with pytest.raises(InputError, match=r"input_bounds: .* expected \(lower, upper\), each a number or \(2,\)"):
+            BlackBox(box.advance, **given, input_bounds=wrong)
 
 
 def cost_of_a_length(length):
@@ -311,3 +324,4 @@ def test_a_simulator_that_gives_no_number_loses_the_run_and_is_left_out_of_the_s
     found = stochastic_linearisation(problem, [1.0], np.random.default_rng(0))
     np.testing.assert_allclose(found.A, [[1.0, 0.1], [0.0, 1.0]], atol=1e-6)
     assert not found.better  # both lose their runs
+    assert np.isfinite([found.mean_return, found.tangent_return]).all()

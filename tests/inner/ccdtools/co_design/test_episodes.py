@@ -2,16 +2,34 @@
 
 import copy
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 from nonlinear_plants import swing
 
-from ccdtools import InputError, LearnedPolicy, simulate
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    Gaussian,
+    InputError,
+    LearnedPolicy,
+    QuadraticObjective,
+    RandomStarts,
+    simulate,
+)  # fmt: skip
 from ccdtools.co_design import differentiable_model
-from ccdtools.co_design.differentiable_model import episode, episode_at, fewer_runs, mean_law, scenario_tensors
-from ccdtools.plants import SampledModel
+from ccdtools.co_design.differentiable_model import (
+    Stepper,
+    episode,
+    episode_at,
+    fewer_runs,
+    mean_law,
+    scenario_tensors,
+    simulated,
+)
+from ccdtools.plants import BlackBox, SampledModel
 
 
 def test_the_folded_law_is_the_policy(study, clone):
@@ -33,6 +51,28 @@ def test_one_design_for_each_run_gives_what_they_give_alone(study, clone):
         together = episode_at(problem, agent, v, (x0, w)).total
         alone = [episode_at(problem, agent, v[i], (x0[i : i + 1], w[i : i + 1])).total.item() for i in range(3)]
     np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+def test_a_run_without_a_number_is_lost_at_the_limit_and_has_no_slope_there():
+    def advance(x, u, w, p):
+        after = x + 0.1 * u + w
+        after[x[:, 0] > 1.0] = np.nan
+        return after
+
+    box = BlackBox(advance, nx=1, nu=1, nw=1, dt=0.1, design=DesignSpace(["p"], [0.5], [1.5]), batched=True)
+    problem = CoDesignProblem(
+        box, X=(-2, 2), U=(-1, 1), objective=QuadraticObjective([[1.0]], [[0.1]]), steps=4, divergence=10.0,
+        scenarios=RandomStarts([[1.5], [0.5]], Gaussian([0.1])),
+    )  # fmt: skip
+    x0, w = torch.tensor([[1.5], [0.5]], dtype=torch.float64), torch.zeros(2, 4, 1, dtype=torch.float64)
+    gain = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
+    seen = simulated(Stepper.at(problem, x0.new_ones(1)), lambda x: -gain * x, (x0, w))
+    assert seen.diverged.tolist() == [True, False]
+    kept = [0.5 * 0.95**k for k in range(5)]
+    expected = [-(20.0**2 + 0.1 * 0.75**2), -sum(after**2 + 0.1 * (0.5 * x) ** 2 for x, after in pairwise(kept))]
+    np.testing.assert_allclose(seen.total.detach(), expected, rtol=1e-9)
+    (slope,) = torch.autograd.grad(seen.total[0], gain)
+    assert slope == pytest.approx(-0.2 * 0.5 * 1.5**2)  # of the input that was paid for
 
 
 def gradients(problem, agent, scenarios):
