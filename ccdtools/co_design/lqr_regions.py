@@ -78,7 +78,7 @@ class LQRRegions:
         rest = np.full(self.rest.shape, np.nan)
         runs = np.flatnonzero(self.stabilised)
         K, k, x = self.K[runs], self.k[runs], self.rest[runs]
-        moved: Array = np.linalg.inv(np.eye(x.shape[1]) - self.A[runs] + self.B[runs] @ K)
+        moved = np.asarray(np.linalg.inv(np.eye(x.shape[1]) - self.A[runs] + self.B[runs] @ K), dtype=float)
         mean = np.broadcast_to(self.mean, (len(runs), len(self.mean)))
         drift: Array = np.full_like(x, np.inf)
         for _ in range(rounds):  # of a linear model the first one ends there
