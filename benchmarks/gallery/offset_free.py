@@ -22,7 +22,7 @@ from ccdtools.twin import fit_plant, identified_change, updated_problem
 from gallery.fitted import WIDE, Case, case
 from mpc import OffsetFreeMPC
 
-GAINS = (0.1, 0.3, 0.7)  # of the estimate; the best one on the real plant counts
+GAINS = (0.02, 0.1, 0.3)  # of the estimate; the best one on the real plant counts
 LOGGED = 10  # runs
 
 

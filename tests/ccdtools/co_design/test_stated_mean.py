@@ -16,6 +16,7 @@ from ccdtools import (
     InputError,
     Plant,
     QuadraticObjective,
+    deploy,
     design_sensitivity,
     discretise,
     expert_dataset,
@@ -26,6 +27,7 @@ from ccdtools import (
 )  # fmt: skip
 from ccdtools.co_design import admissible_inputs
 from ccdtools.co_design.lqr_regions import LQRRegions
+from ccdtools.twin import robust_mpc
 from invariant_sets import Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, lqr
 from mpc.optimal_control import NonlinearMPC
@@ -269,3 +271,16 @@ def test_an_invariant_terminal_set_is_that_of_the_regulator_about_the_rest():
         assert (u >= -0.9 - 1e-7).all()
         assert (u <= 0.5 + 1e-7).all()
         assert mpc.problem.terminal_set.contains(after, 1e-7)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("errors", ["set", "quantiles", "normal"])
+def test_the_controller_of_a_log_settles_where_mpc_does(errors):
+    problem = replace(problem_of(0.4, U=(-1.5, 1.5), X=(-1.5, 1.5)), steps=40)
+    w = problem.scenarios.disturbance.sample(40, 40, np.random.default_rng(0))
+    log = deploy(problem.model, saturated_lqr(problem, DESIGN), DESIGN, w, x0=[0.5, 0.0])
+    found = robust_mpc(problem, DESIGN, log, level=0.8, horizon=5, runs=3, errors=errors, rng=np.random.default_rng(0))
+    x, u = linear_mpc(problem, DESIGN).rest
+    assert np.linalg.norm(x) > 0.05
+    np.testing.assert_allclose(found.controller(x), u, atol=1e-6)
+    assert found.planned == 1.0
