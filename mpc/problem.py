@@ -209,7 +209,7 @@ class MPCProblem(Immutable):
         return {name: np.tile(value, (self.signal_shapes[name][0], 1)) for name, value in values.items()}
 
     def settles(self, signals: dict[str, Any]) -> bool:
-        """Whether the rest stands for a reference beside these signals."""
+        """Whether the rest stands for a reference."""
         return "x_ref" in self.lasting_beside([name for name, value in signals.items() if value is not None])
 
     @cached_property

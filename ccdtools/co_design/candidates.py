@@ -138,7 +138,7 @@ class Starts:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """States moved along rays from the rest into their sets, at the same fractions as in X.
+        """States moved along rays into their sets, at fractions as in X.
 
         Where the set is flat or empty, it is the state itself.
         """
@@ -154,7 +154,7 @@ class Starts:
         return np.asarray(rest + scale[:, None] * (x - rest))
 
     def _gauges(self, x: Array, rest: Array, runs: Indices) -> Array:
-        """Least factors (k,) by which X about the rest holds these candidates' states (k, nx)."""
+        """Least factors (k,) by which X about the rest holds states."""
         if not isinstance(self.X, DesignLimits):
             return _gauge(self.X, x, rest)
         away = x - rest
@@ -216,7 +216,7 @@ def starts(
 
 
 def _gauge(S: Polytope, x: Array, rest: Array) -> Array:
-    """Least factors (k,) by which S about a point (k, nx) holds states (k, nx); inf where it is not in its interior."""
+    """Least factors (k,) by which S about a rest holds states."""
     room = S.b - rest @ S.A.T
     inside = (room > 0).all(axis=1)
     if S.is_empty or len(S.b_eq) or not inside.any():

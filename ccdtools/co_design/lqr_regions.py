@@ -74,7 +74,7 @@ class LQRRegions:
         return replace(regions, rest=np.nan_to_num(rest), rows=known, shapes=shapes)
 
     def _rests(self, scale: Array, rounds: int = 20) -> Array:
-        """States (n, nx) in which unclipped LQR rests under the mean; NaN without LQR, or where none was found."""
+        """States (n, nx) where unclipped LQR rests; NaN without one."""
         rest = np.full(self.rest.shape, np.nan)
         runs = np.flatnonzero(self.stabilised)
         K, k, x = self.K[runs], self.k[runs], self.rest[runs]
@@ -124,17 +124,15 @@ class LQRRegions:
         return np.clip(self.k[runs] - times(self.K[runs], x), self.lower[runs], self.upper[runs])
 
     def step(self, x: Array, u: Array, runs: Any, w: Array) -> Array:
-        """Next states (k, nx) at designs `runs`, under disturbances (k, nw)."""
+        """Next states (k, nx) at designs `runs`, under w (k, nw)."""
         if self.sampled is not None:
             return np.asarray(self.sampled.advance(x, u, w, self.designs[runs]))
         return times(self.A[runs], x) + times(self.B[runs], u) + times(self.E[runs], w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
-        """Approximate largest scales (k,) in [0, 1] with rest + scale · (x − rest) in the region.
+        """Largest scales (k,) in [0, 1] from the rest to x within the region.
 
-        They are 0 where none is known.
-
-        Geometric bisection between the ellipsoid and x.
+        They are 0 where none is known. Geometric bisection between the ellipsoid and x.
         """
         rest = self.rest[runs]
         away = x - rest
@@ -177,7 +175,7 @@ def _quadratic(M: Array, x: Array) -> Array:
 
 
 def _unit_rows(problem: CoDesignProblem, designs: Array, rest: Array) -> Array:
-    """Rows (n, m, nx) of X about the rest, with right-hand side 1; NaN where that is not well inside X."""
+    """Rows (n, m, nx) of X about the rest; NaN without room."""
     X: Any = problem.X
     if isinstance(X, DesignLimits):
         lower, upper = X.bounds(designs)

@@ -173,7 +173,7 @@ class PlantFit(Immutable):
         return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open), *left_out])
 
     def with_each(self, problem: CoDesignProblem, logs: Sequence[Trajectory]) -> Iterator[PlantFit]:
-        """Fits with one more log, of these at one design, at these values and errors."""
+        """Fits with one more log each, all of one design."""
         functions = self.unknown.functions(problem, logs[0].design)
         if self.errors is None:
             scaled = len(self.names) > len(self.unknown.free)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Residuals(Immutable):
-    """One-step errors of a nominal model along logged runs, finite and read-only.
+    """One-step errors along logged runs, finite and read-only.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ Logs: TypeAlias = Trajectory | Residuals | Sequence[Trajectory | Residuals]
 
 
 def errors_of(logs: Logs, model: Model | None, argument: str = "logs") -> list[Residuals]:
-    """Errors along one log or several, given as trajectories or errors, of this model if there is one."""
+    """Errors along one log or several."""
     given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not given:
         raise InputError(argument, shown(logs), "at least one log, a Trajectory or Residuals")
@@ -135,7 +135,7 @@ def errors_of(logs: Logs, model: Model | None, argument: str = "logs") -> list[R
 
 
 def _errors(argument: str, log: Trajectory | Residuals, model: Model) -> Residuals:
-    """Errors of a log of the model, or an `InputError`."""
+    """Errors of a log of the model."""
     if isinstance(log, Trajectory):
         return residuals(model, log, argument=argument)
     as_instance(argument, log, Residuals, "a Trajectory, or Residuals")
@@ -149,7 +149,7 @@ def _errors(argument: str, log: Trajectory | Residuals, model: Model) -> Residua
 
 
 def errors_in(problem: CoDesignProblem, logs: Logs) -> list[Residuals]:
-    """Errors along logs of a problem, with a warning where their states mostly lie outside X."""
+    """Errors along logs; states mostly outside X are warned of."""
     errors = errors_of(logs, problem.model)
     for log in errors:
         inside = problem.state_limits(log.p).contains(log.x.reshape(-1, problem.model.nx)).mean()

@@ -84,7 +84,10 @@ def as_changes(
 
 
 def _rest_changes(problem: MPCProblem, changes: Mapping[str, Array]) -> Array:
-    """Derivatives (nx + nu, np) of the rest z, at which z'Wz is least of all with Gz + Ew = 0."""
+    """Derivatives (nx + nu, np) of the rest.
+
+    There z'Wz is least of all with Gz + Ew = 0.
+    """
     nx, size = problem.nx, problem.nx + problem.nu
     z, G = np.concatenate(problem.rest), np.hstack([problem.A - np.eye(nx), problem.B])
     W, dS = problem.stage_weight, changes["dS"]
