@@ -12,6 +12,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable, Indices
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.exceptions import InputError
 from ccdtools.table import data_frame
+from ccdtools_ground.door import as_array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,11 +35,13 @@ class Trajectory(Immutable):
         What sensors told, where the controller listened.
     names : tuple of str
         Of states, then inputs, for pictures; x1, …, u1, … by default.
+    times : (T + 1,) array, optional
+        Of the samples as a recorder told them [s], which must be dt apart.
 
     Raises
     ------
     InputError
-        If the arrays are not of such shapes, or hold no step.
+        If the arrays are not of such shapes, or hold no step, or the clock jumps.
     """
 
     states: Array
@@ -49,6 +52,7 @@ class Trajectory(Immutable):
     dt: float
     outputs: ArrayField = None
     names: tuple[str, ...] = ()
+    times: ArrayField = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -59,6 +63,9 @@ class Trajectory(Immutable):
             raise InputError("states, inputs, disturbances", got, "(n, T + 1, nx), (n, T, nu) and (n, T, nw)")
         if steps < 1:
             raise InputError("inputs", "runs of 0 steps", "at least one step")
+        if self.times is not None:
+            self._set(times=as_array("times", self.times, (steps + 1,)))
+        check_clock("times", self.times, self.dt)
 
     def __repr__(self) -> str:
         n, steps, nu = self.inputs.shape
@@ -121,3 +128,12 @@ class Trajectory(Immutable):
     def size_of(self, value: float, objective: Objective) -> float:
         """Size of a return of such runs, without the design cost."""
         return float(objective.made_by_control(value, self.design, self.inputs.shape[1]))
+
+
+def check_clock(argument: str, times: Array | None, dt: float, cure: str = "") -> None:
+    """Raise where samples of a recorder [s] are not dt apart."""
+    steps = np.diff([] if times is None else times)
+    wrong = np.flatnonzero(~np.isclose(steps, dt, rtol=0.01, atol=0.0))
+    if len(wrong):
+        got = f"{steps[wrong[0]]:g} s from sample {wrong[0]} to the next"
+        raise InputError(argument, got, f"dt = {dt:g} s", f"Cut the log there. {cure}".rstrip())

@@ -60,14 +60,14 @@ class LinearMPC(MPCProblem):
     mean : (nw,) array, optional
         Disturbance where a call names none, as of a model with a constant part. Without references the plan then costs
         least with the state and input in which LQR would settle under it as 0, which are those of least cost at rest:
-        so without limits it is LQR with an offset. Not beside W.
+        so without limits it is LQR with an offset.
     W : Polytope or (lower, upper), optional
-        Set of disturbances that nobody knows: x⁺ = Ax + Bu + Ew with any w in W (without E, what is added to each
-        state). Limits are tightened along the plan by what they can do under u = v - Kx with K = `tube_gain`, and the
-        terminal set is the largest robust invariant one if none is given, so that a loop that begins with a plan has
-        one at every step and keeps X and U (Chisci, Rossiter and Zappa, Automatica 37(7), 2001). A given
-        `terminal_set` must be robustly invariant under `tube_gain` for that, and no known or estimated `w` may change
-        from step to step. Not beside `rate_limit` or `blocks`.
+        Set of disturbances that nobody knows: x⁺ = Ax + Bu + Ew with any w in W, or a `mean` and any w in W (without E,
+        what is added to each state). Limits are tightened along the plan by what they can do under u = v - Kx with
+        K = `tube_gain`, and the terminal set is the largest robust invariant one if none is given, so that a loop that
+        begins with a plan has one at every step and keeps X and U (Chisci, Rossiter and Zappa, Automatica 37(7), 2001).
+        A given `terminal_set` must be robustly invariant under `tube_gain` for that, and no known or estimated `w` may
+        change from step to step. Not beside `rate_limit` or `blocks`.
     rate_limit : float or (nu,) array, optional
         Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
     soft : (linear, quadratic), optional
@@ -217,7 +217,8 @@ class LinearMPC(MPCProblem):
             State.
         dA, dB, dE, dQ, dR, dS, dP : (·, ·, np) arrays, optional
             ∂A/∂p and so on, the last axis that of the parameters; 0 where they are left out. A terminal weight that is
-            the Riccati solution changes with A, B, Q, R and S by itself; dP is for one that was given.
+            the Riccati solution changes with A, B, Q, R and S by itself, as does the rest under a mean; dP is for one
+            that was given.
         dX, dU, d_terminal_set : (rows, np) arrays, optional
             ∂h/∂p of the half-spaces {v : Hv <= h} in `state_rows`, `input_rows` and `terminal_rows`.
         d_rate_limit : (nu, np) array, optional
@@ -239,10 +240,9 @@ class LinearMPC(MPCProblem):
 
         given = spread_signals(self, dict(signals))
         plan = self.solve(x, **signals)
-        self.check_rest(signals, moves=any(change is not None for change in (dA, dB, dE, dQ, dR, dS)))
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
-        changes = as_changes(self, derivatives)
+        changes = as_changes(self, derivatives, settles=self.settles(signals))
         return sensitivity_of(self, linear_model(self, given, changes.model), changes, plan, given)
 
     def explicit(

@@ -96,9 +96,8 @@ class MPCProblem(Immutable):
         """Mean (nw,) of the disturbance, if one is stated."""
         if self.mean is None:
             return None
-        if self.E is None or self.W is not None:
-            got = "one without E" if self.E is None else "one beside W"
-            raise InputError("mean", got, "a mean of what enters by E, without W", "W holds all of the disturbance.")
+        if self.E is None:
+            raise InputError("mean", "one without E", "a mean of what enters by E")
         mean = as_array("mean", self.mean, (self.nw,))
         return mean if mean.any() else None
 
@@ -109,9 +108,10 @@ class MPCProblem(Immutable):
                 raise InputError(name, getattr(self, name), "none beside W", "No input would be free to answer to w.")
         if self.terminal_set is None:  # from a state of the robust set found here u = -Kx is a plan
             if len(self.state_rows[1]) + len(self.input_rows[1]):
-                sets = self.state_rows, self.input_rows
+                sets = self.about_rest["state"], self.about_rest["input"]
                 K, E = self.tube_gain, self._entry
-                self._set(terminal_rows=robust_terminal_rows(self.A, self.B, K, *sets, E, self.W, self.horizon))
+                H, h = robust_terminal_rows(self.A, self.B, K, *sets, E, self.W, self.horizon)
+                self._set(terminal_rows=(H, h + H @ self.rest[0]))
             return
         N = self.horizon
         for kind, steps in (("state", range(1, N + 1)), ("input", range(N)), ("terminal", (N,))):
@@ -128,7 +128,7 @@ class MPCProblem(Immutable):
     @cached_property
     def tube_gain(self) -> Array:
         """Gain K (nu, nx) by which limits are tightened, see `mpc.robust.tube_gain`."""
-        units = self.limits.price_units()
+        units = replace(self.limits, sets=self.about_rest).price_units()
         sides = (self.state_rows, units["state"]), (self.input_rows, units["input"])
         weights = {"Q": self.Q, "R": self.R, "S": self.S}
         return frozen(tube_gain(self.A, self.B, weights, sides, self._entry, self.W))
@@ -190,6 +190,12 @@ class MPCProblem(Immutable):
         x, u = settled(self.A, self.B, self.E @ self.mean, Q=self.Q, R=self.R, S=self.S)
         return frozen(x), frozen(u)
 
+    @property
+    def about_rest(self) -> dict[str, tuple[Array, Array]]:
+        """Limits as half-spaces of deviations from the rest."""
+        sets = {"state": (self.state_rows, 0), "terminal": (self.terminal_rows, 0), "input": (self.input_rows, 1)}
+        return {kind: (H, h - H @ self.rest[place]) for kind, ((H, h), place) in sets.items()}
+
     def lasting_beside(self, named: Collection[str]) -> dict[str, Array]:
         """Signals in place of those that a call does not name.
 
@@ -202,12 +208,9 @@ class MPCProblem(Immutable):
             values |= dict(zip(("x_ref", "u_ref"), self.rest))
         return {name: np.tile(value, (self.signal_shapes[name][0], 1)) for name, value in values.items()}
 
-    def check_rest(self, signals: dict[str, Any], *, moves: bool) -> None:
-        """Raise an `InputError` where parameters move the rest that stands for a reference."""
-        named = [name for name, value in signals.items() if value is not None]
-        if moves and "x_ref" in self.lasting_beside(named):
-            cure = "Give x_ref and u_ref."
-            raise InputError("mean", "a rest that moves with the parameters", "derivatives at given references", cure)
+    def settles(self, signals: dict[str, Any]) -> bool:
+        """Whether the rest stands for a reference."""
+        return "x_ref" in self.lasting_beside([name for name, value in signals.items() if value is not None])
 
     @cached_property
     def gain(self) -> Array:

@@ -2,7 +2,7 @@
 
 Candidates (x, p) fill X × design box by Latin hypercube sampling. Accepted are those whose state lies in the set of
 their own design. Where these are few (the volume of a set shrinks with the number of states), the others are moved
-along their ray to the origin: a state at the fraction ρ of its ray to the boundary of X goes to the fraction ρ of the
+along their ray from the rest: a state at the fraction ρ of its ray to the boundary of X goes to the fraction ρ of the
 ray to the boundary of the set. A part of the loops begins where the episodes of the problem begin.
 
 The set of a design is X_fea(p), the region of LQR, or X. The budget is one of work, which every machine counts alike:
@@ -138,26 +138,29 @@ class Starts:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """States moved along rays into their sets, at the same fractions as in X.
+        """States moved along rays into their sets, at fractions as in X.
 
         Where the set is flat or empty, it is the state itself.
         """
-        fraction = np.minimum(self._gauges(x, runs), 1.0)
+        rest = self.regions.rest[runs]
+        fraction = np.minimum(self._gauges(x, rest, runs), 1.0)
         own = [self.sets[i] for i in runs]
-        reach = np.array([0.0 if S is None else 1 / _gauge(S, row[None])[0] for S, row in zip(own, x)])
+        rays = zip(own, x[:, None], rest[:, None])
+        reach = np.array([0.0 if S is None else 1 / _gauge(S, *ray)[0] for S, *ray in rays])
         unknown = np.array([S is None for S in own], dtype=bool)
         if self.by_region:
             reach[unknown] = self.regions.reach(x[unknown], runs[unknown])
         scale = np.where(reach > 0, np.minimum(fraction * reach, 1.0), 1.0)
-        return scale[:, None] * x
+        return np.asarray(rest + scale[:, None] * (x - rest))
 
-    def _gauges(self, x: Array, runs: Indices) -> Array:
-        """Least factors (k,) by which X holds these candidates' states (k, nx)."""
+    def _gauges(self, x: Array, rest: Array, runs: Indices) -> Array:
+        """Least factors (k,) by which X about the rest holds states."""
         if not isinstance(self.X, DesignLimits):
-            return _gauge(self.X, x)
+            return _gauge(self.X, x, rest)
+        away = x - rest
         lower, upper = self.X.bounds(self.p[runs])
-        bound = np.where(x > 0, upper, lower)
-        parts = np.divide(x, bound, out=np.where(x == 0, 0.0, np.inf), where=bound != 0)
+        bound = np.where(away > 0, upper, lower) - rest
+        parts = np.divide(away, bound, out=np.where(away == 0, 0.0, np.inf), where=bound != 0)
         return np.asarray(np.maximum(parts.max(axis=1), np.finfo(float).tiny))
 
 
@@ -212,11 +215,14 @@ def starts(
     )  # fmt: skip
 
 
-def _gauge(S: Polytope, x: Array) -> Array:
-    """Least factors (k,) by which S holds states (k, nx); inf without interior 0."""
-    if S.is_empty or len(S.b_eq) or not (S.b > 0).all():
+def _gauge(S: Polytope, x: Array, rest: Array) -> Array:
+    """Least factors (k,) by which S about a rest holds states."""
+    room = S.b - rest @ S.A.T
+    inside = (room > 0).all(axis=1)
+    if S.is_empty or len(S.b_eq) or not inside.any():
         return np.full(len(x), np.inf)
-    return np.asarray(np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny))
+    parts = (x - rest) @ S.A.T / np.where(room > 0, room, 1.0)
+    return np.where(inside, np.maximum(parts.max(axis=1), np.finfo(float).tiny), np.inf)
 
 
 def affordable_designs(

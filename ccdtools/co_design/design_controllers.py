@@ -21,6 +21,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
 from ccdtools_ground.door import as_choice, as_count, as_instance
 from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
+from mpc.robust import as_disturbance_set
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -101,16 +102,18 @@ def linear_mpc(
 ) -> LinearMPC:
     """MPC of the nominal model, or its linearisation at rest, within a design's limits.
 
-    A stated mean of the disturbance is part of the model, see `mean` of `LinearMPC`, but with `W`, which holds it. With
-    `W`, such as `ccdtools.twin.disturbance_set` finds in a log, limits are tightened for x⁺ = Ax + Bu + w with any
-    w (nx,) in W; see `LinearMPC`.
+    A stated mean of the disturbance is part of the model, see `mean` of `LinearMPC`. With `W`, such as
+    `ccdtools.twin.disturbance_set` finds in a log, limits are tightened for x⁺ = Ax + Bu + w with any w (nx,) in W,
+    which holds that mean, too.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, E = problem.model.matrices(p)
     own = problem.weights(p).keywords()
-    if problem.mean_disturbance.any() and W is None:
-        own |= {"E": np.eye(len(A)), "mean": E @ problem.mean_disturbance}
+    if problem.mean_disturbance.any():
+        still, mean = np.eye(len(A)), E @ problem.mean_disturbance
+        own |= {"E": still, "mean": mean}
+        W = None if W is None else as_disturbance_set(W, still).affine_map(still, -mean)
     return LinearMPC(A, B, **own, horizon=horizon, X=problem.kept_by_mpc(p), U=problem.input_limits(p), W=W)
 
 

@@ -16,6 +16,8 @@ from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_choice, as_count, as_instance, as_vector
 from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
+from mpc.problem import MPCProblem
+from mpc.sensitivities.changes import as_changes
 
 CONTROLLERS = ("lqr", "mpc", "nmpc")
 
@@ -32,7 +34,9 @@ class DesignSensitivity(Immutable):
         Of the design parameters.
     design, x0 : (np,) and (nx,) arrays
     cost : float
-        J*: of LQR x'Px, of MPC that of the horizon with its terminal cost. Without the cost of the design itself.
+        J*: of LQR x'Px, of MPC that of the horizon with its terminal cost. Without the cost of the design itself. With
+        a stated mean of the disturbance x is counted from the rest under it, which moves with the design; what resting
+        there costs in each step is no part of J*.
     cost_by_state, cost_by_design : (nx,) and (np,) arrays
     input_by_state, input_by_design : (nu, nx) and (nu, np) arrays
         Of the first input.
@@ -67,7 +71,7 @@ def design_sensitivity(
     problem: CoDesignProblem, design: ArrayLike, x0: ArrayLike | None = None, *, controller: str = "lqr",
     horizon: int = HORIZON,
 ) -> DesignSensitivity:  # fmt: skip
-    """Exact slopes of the undisturbed optimal cost and law by the design.
+    """Exact slopes of optimal cost and law by the design, without noise.
 
     Parameters
     ----------
@@ -111,14 +115,24 @@ def design_sensitivity(
     x = as_vector("x0", x0, problem.model.nx, of="one per state")
     names = tuple(problem.design.names)
     changes = weight_changes(problem, p)
-    weights = problem.weights(p).keywords()
+    weights = problem.weights(p).keywords() | {"horizon": horizon}
+    mean = problem.mean_disturbance
+    if mean.any():
+        weights |= {"E": problem.model.matrices(p)[2], "mean": mean}
+        changes |= {"dE": problem.model.derivatives(p)[2]}
     if controller == "lqr":
-        found = lqr_sensitivity(**regulator_data(problem, p))
+        data = regulator_data(problem, p)
+        found = lqr_sensitivity(**data)
+        settled = MPCProblem(data["A"], data["B"], **weights, P=found.P)
+        moves = as_changes(settled, {"dA": data["dA"], "dB": data["dB"], **changes}, settles=True).reference
+        moves_x, moves_u = np.split(moves, [len(x)])
+        away, gain = x - settled.rest[0], found.input_by_state
+        slope = found.cost_by_state(away)
         return DesignSensitivity(
-            names, p, x, found.cost(x), found.cost_by_state(x), found.cost_by_parameters(x), found.input_by_state,
-            found.input_by_parameters(x), SensitivityStatus.SMOOTH, found,
+            names, p, x, found.cost(away), slope, found.cost_by_parameters(away) - slope @ moves_x, gain,
+            found.input_by_parameters(away) - gain @ moves_x + moves_u, SensitivityStatus.SMOOTH, found,
         )  # fmt: skip
-    plan = _of_mpc(problem, p, x, controller, {**weights, "horizon": horizon}, changes)
+    plan = _of_mpc(problem, p, x, controller, weights, changes)
     return DesignSensitivity(
         names, p, x, plan.plan.cost, plan.cost_by_state, plan.cost_by_parameters, plan.input_by_state,
         plan.input_by_parameters, plan.status, plan,
@@ -145,8 +159,11 @@ def _of_mpc(
     from mpc.optimal_control import NonlinearMPC
 
     model = problem.model
-    own: dict[str, Any] = {**changes, **moved}
-    return NonlinearMPC(named_step(model), model.nx, model.nu, p=p, **weights, **limits).sensitivity(x, **own)
+    own: dict[str, Any] = {name: value for name, value in {**changes, **moved}.items() if name != "dE"}
+    stated = {name: value for name, value in weights.items() if name != "E"} | limits
+    disturbed = "E" in weights
+    stated |= {"disturbances": model.nw} if disturbed else {}
+    return NonlinearMPC(named_step(model, disturbed=disturbed), model.nx, model.nu, p=p, **stated).sensitivity(x, **own)
 
 
 def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:

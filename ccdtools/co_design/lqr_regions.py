@@ -1,9 +1,9 @@
 """States that saturated LQR keeps within X for ever, by simulation.
 
-A state belongs to the region of its design if the nominal loop x⁺ = A x + B clip(−K x) stays within X until it
-enters an ellipsoid in which −K x needs no clipping and x stays within X; the ellipsoid is invariant. So the region is a
-positively invariant part of X_fea(p), found without a polytope. Simulating costs milliseconds where the recursion for
-X_fea(p) of a weakly damped plant costs minutes.
+A state belongs to the region of its design if the loop x⁺ = A x + B clip(k − K x) + E d, with the stated mean d of the
+disturbance, stays within X until it enters an ellipsoid about its rest in which no input needs clipping and x stays
+within X; the ellipsoid is invariant. So the region is a positively invariant part of X_fea(p), found without a
+polytope. Simulating costs milliseconds where the recursion for X_fea(p) of a weakly damped plant costs minutes.
 
 References
 ----------
@@ -36,10 +36,14 @@ class LQRRegions:
     B: Array  # (n, nx, nu)
     E: Array  # (n, nx, nw)
     K: Array  # (n, nu, nx): LQR gains, u = k − K x; NaN where a design cannot be stabilised
-    k: Array  # (n, nu): offsets against a stated mean of the disturbance; regions are of the loop without either
+    k: Array  # (n, nu): offsets against the mean
+    mean: Array  # (nw,): of the disturbance, as stated
+    rest: Array  # (n, nx): where the loops rest under the mean; 0 without LQR
     lower: Array  # (n, nu): input bounds
     upper: Array  # (n, nu)
-    rows: Array | None  # (n, m, nx): X as {x : rows x <= 1}; None where 0 is not inside X or U, so no region is known
+    # (n, m, nx): X as {x : rows (x − rest) <= 1}, NaN where the rest is not inside X or U, so no region is known; None
+    # where that is so everywhere
+    rows: Array | None
     # (n, nx, nx): M with x'Mx <= 1 inside X and without clipping, invariant under LQR. Of a model that is not linear, a
     # tenth of the ellipsoid of its linearisation in every direction: there it is as good as linear
     shapes: Array
@@ -54,19 +58,39 @@ class LQRRegions:
         designs = np.asarray(designs, dtype=float)
         bounds = problem.input_bounds_at(designs)
         lower, upper = (np.broadcast_to(bound, (len(designs), problem.model.nu)) for bound in bounds)
-        rows = _unit_rows(problem, designs) if (lower < 0).all() and (upper > 0).all() else None
         shapes = np.full_like(A, np.inf)
-        if rows is not None:
-            for i in np.flatnonzero(np.isfinite(K).all(axis=(1, 2))):
-                limits = np.vstack([rows[i], -K[i] / upper[i][:, None], -K[i] / lower[i][:, None]])
-                shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
         sampled = None if isinstance(problem.model, LinearModel) else problem.model
+        none = np.zeros(A.shape[:2])
+        regions = cls(A, B, E, K, k, problem.mean_disturbance, none, lower, upper, None, shapes, designs, sampled)
+        rest = regions._rests(problem.state_scale)
+        still = k - times(K, rest)
+        rows = _unit_rows(problem, designs, rest)
+        rows[~((lower < still) & (still < upper)).all(axis=1)] = np.nan
+        for i in np.flatnonzero(np.isfinite(rows).all(axis=(1, 2))):
+            sides = (-K[i] / (bound[i] - still[i])[:, None] for bound in (upper, lower))
+            shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], np.vstack([rows[i], *sides]), problem.state_scale)
         shapes = shapes if sampled is None else shapes / NEARLY_LINEAR**2
-        return cls(A, B, E, K, k, lower, upper, rows, shapes, designs, sampled)
+        known = rows if np.isfinite(rows).any() else None
+        return replace(regions, rest=np.nan_to_num(rest), rows=known, shapes=shapes)
+
+    def _rests(self, scale: Array, rounds: int = 20) -> Array:
+        """States (n, nx) where unclipped LQR rests; NaN without one."""
+        rest = np.full(self.rest.shape, np.nan)
+        runs = np.flatnonzero(self.stabilised)
+        K, k, x = self.K[runs], self.k[runs], self.rest[runs]
+        moved = np.asarray(np.linalg.inv(np.eye(x.shape[1]) - self.A[runs] + self.B[runs] @ K), dtype=float)
+        mean = np.broadcast_to(self.mean, (len(runs), len(self.mean)))
+        drift: Array = np.full_like(x, np.inf)
+        for _ in range(rounds):  # of a linear model the first one ends there
+            drift = self.step(x, k - times(K, x), runs, mean) - x
+            x = x + times(moved, drift)
+        settled = (np.abs(drift) <= ON_LIMIT * scale).all(axis=1)
+        rest[runs[settled]] = x[settled]
+        return rest
 
     def of_runs(self, runs: Indices) -> LQRRegions:
         """Regions of some of the designs."""
-        names = ("A", "B", "E", "K", "k", "lower", "upper", "shapes", "designs")
+        names = ("A", "B", "E", "K", "k", "rest", "lower", "upper", "shapes", "designs")
         parts: dict[str, Any] = {name: getattr(self, name)[runs] for name in names}
         return replace(self, rows=None if self.rows is None else self.rows[runs], **parts)
 
@@ -82,51 +106,47 @@ class LQRRegions:
             return inside
         left = np.flatnonzero(self.stabilised[runs])
         for _ in range(2000):  # a longer loop counts as outside
-            within = (times(self.rows[runs[left]], x[left]) <= 1 + ON_LIMIT).all(axis=1)
-            arrived = within & (_quadratic(self.shapes[runs[left]], x[left]) <= 1)
+            away = x[left] - self.rest[runs[left]]
+            within = (times(self.rows[runs[left]], away) <= 1 + ON_LIMIT).all(axis=1)
+            arrived = within & (_quadratic(self.shapes[runs[left]], away) <= 1)
             inside[left[arrived]] = True
             going = within & ~arrived
             left = left[going]
             if not len(left):
                 break
             x = x.copy()
-            x[left] = self.step(x[left], self._inputs(x[left], runs[left], 0.0), runs[left])
+            mean = np.broadcast_to(self.mean, (len(left), len(self.mean)))
+            x[left] = self.step(x[left], self.inputs(x[left], runs[left]), runs[left], mean)
         return inside
 
     def inputs(self, x: Array, runs: Indices) -> Array:
         """Saturated LQR inputs (k, nu) of states (k, nx) at designs `runs`."""
-        return self._inputs(x, runs, self.k[runs])
+        return np.clip(self.k[runs] - times(self.K[runs], x), self.lower[runs], self.upper[runs])
 
-    def _inputs(self, x: Array, runs: Indices, offset: Array | float) -> Array:
-        """Inputs (k, nu) with another offset."""
-        return np.clip(offset - times(self.K[runs], x), self.lower[runs], self.upper[runs])
-
-    def step(self, x: Array, u: Array, runs: Any, w: Array | None = None) -> Array:
-        """Next states (k, nx) at designs `runs`, nominal ones without disturbances (k, nw)."""
+    def step(self, x: Array, u: Array, runs: Any, w: Array) -> Array:
+        """Next states (k, nx) at designs `runs`, under w (k, nw)."""
         if self.sampled is not None:
-            drive = np.zeros(self.sampled.nw) if w is None else w
-            return np.asarray(self.sampled.advance(x, u, drive, self.designs[runs]))
-        after = times(self.A[runs], x) + times(self.B[runs], u)
-        return after if w is None else after + times(self.E[runs], w)
+            return np.asarray(self.sampled.advance(x, u, w, self.designs[runs]))
+        return times(self.A[runs], x) + times(self.B[runs], u) + times(self.E[runs], w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
-        """Approximate largest scales (k,) in [0, 1] with scale · x in the region.
+        """Largest scales (k,) in [0, 1] from the rest to x within the region.
 
-        They are 0 where none is known.
-
-        Geometric bisection between the ellipsoid and x.
+        They are 0 where none is known. Geometric bisection between the ellipsoid and x.
         """
+        rest = self.rest[runs]
+        away = x - rest
         low = np.zeros(len(x))
         if self.rows is None:
             return low
-        size = _quadratic(self.shapes[runs], x)
+        size = _quadratic(self.shapes[runs], away)
         known = np.isfinite(size)
         low[known] = 1 / np.sqrt(np.maximum(size[known], 1.0))
         high = np.ones(len(x))
         low[self.contains(x, runs)] = 1.0
         for _ in range(10):  # from 1e-6 to 1 this leaves 1.4 %
             middle = np.sqrt(low * high)
-            inside = self.contains(middle[:, None] * x, runs)
+            inside = self.contains(rest + middle[:, None] * away, runs)
             low = np.where(inside, middle, low)
             high = np.where(inside, high, middle)
         return low
@@ -154,19 +174,18 @@ def _quadratic(M: Array, x: Array) -> Array:
     return values
 
 
-def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
-    """Rows (n, m, nx) of X with right-hand side 1; None where 0 is not well inside X."""
-    if isinstance(problem.X, DesignLimits):
-        least, largest = (bound / problem.state_scale for bound in problem.X.bounds(designs))
-        if not (least < -ON_LIMIT).all() or not (largest > ON_LIMIT).all():
-            return None
-        eye = np.eye(problem.model.nx) / problem.state_scale
-        return np.concatenate([eye / largest[:, :, None], eye / least[:, :, None]], axis=1)
-    room = problem.X.b / (np.abs(problem.X.A) @ problem.state_scale)
-    if len(problem.X.b_eq) or not (room > ON_LIMIT).all():
-        return None
-    rows = problem.X.A / problem.X.b[:, None]
-    return np.broadcast_to(rows, (len(designs), *rows.shape))
+def _unit_rows(problem: CoDesignProblem, designs: Array, rest: Array) -> Array:
+    """Rows (n, m, nx) of X about the rest; NaN without room."""
+    X: Any = problem.X
+    if isinstance(X, DesignLimits):
+        lower, upper = X.bounds(designs)
+        H, h = np.vstack([np.eye(problem.model.nx), -np.eye(problem.model.nx)]), np.hstack([upper, -lower])
+    else:
+        H, h = X.A, X.b
+    room: Array = h - rest @ H.T
+    inside: Any = (room > ON_LIMIT * (np.abs(H) @ problem.state_scale)).all(axis=1)
+    inside &= isinstance(X, DesignLimits) or not len(X.b_eq)
+    return np.asarray(H / np.where(inside[:, None], room, np.nan)[:, :, None])
 
 
 def _ellipsoid(closed: Array, limits: Array, scale: Array) -> Array:

@@ -18,7 +18,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.evidence.switchback import TrialStatus
-from ccdtools.exceptions import InputError, SimulatorError
+from ccdtools.exceptions import SimulatorError
 from ccdtools.plants.models import Simulable
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
@@ -32,11 +32,11 @@ from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.pieces import joined
 from ccdtools.twin.replay import replay_problem
-from ccdtools.twin.residuals import Residuals, block_parts, check_errors, is_common, residuals
+from ccdtools.twin.residuals import Residuals, block_parts, errors_of, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.trial import TrialConfig, best_predictor, switchback_on
 from ccdtools.twin.updated_plant import UpdatedPlant
-from ccdtools_ground.door import as_floats, as_generator, as_instance, shown
+from ccdtools_ground.door import as_floats, as_generator, as_instance
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 
@@ -109,7 +109,7 @@ def deploy_and_update(
     rng: np.random.Generator,
     config: OnlineConfig | None = None,
     admissible: AdmissibleInputs | None = None,
-    former: Sequence[Residuals] = (),
+    former: Sequence[Trajectory | Residuals] = (),
     served: ServedDistributions | None = None,
     progress: bool = False,
 ) -> Deployment:
@@ -136,11 +136,11 @@ def deploy_and_update(
         updates gets fewer, or none.
     admissible : AdmissibleInputs, optional
         A filter behind the deployed policy, see `Filtered`; it is judged with the filter, too.
-    former : sequence of Residuals
-        Errors along former deployments, from which the model is updated, too. On those of several runs as long as these
-        candidates, which are not trained on them, are judged besides. Every second run, from the first on, counts as
-        one that met the same disturbance in every deployment: together these are one piece of evidence, and those of a
-        disturbance that a candidate was trained on are left out.
+    former : sequence of Trajectory or Residuals
+        Former deployments, or the errors along them, from which the model is updated, too. On those of several runs as
+        long as these candidates, which are not trained on them, are judged besides. Every second run, from the first
+        on, counts as one that met the same disturbance in every deployment: together these are one piece of evidence,
+        and those of a disturbance that a candidate was trained on are left out.
     served : ServedDistributions, optional
         The other starts and disturbances that the policy will serve; by default the problem's, and its box of starts.
     """
@@ -153,14 +153,11 @@ def deploy_and_update(
     whole = Scenario(plant, x0, disturbance)
     if admissible is not None:
         as_instance("admissible", admissible, AdmissibleInputs, "an AdmissibleInputs or None")
-    if not isinstance(former, list | tuple) or not all(isinstance(log, Residuals) for log in former):
-        raise InputError("former", shown(former), "a sequence of Residuals")
-    for k, log in enumerate(former):
-        check_errors(f"former[{k}]", problem.model, log)
+    known = errors_of(former, problem.model, "former") if former else []
     served = ServedDistributions(problem, whole.x0[0], runs=config.judged) if served is None else served
     as_instance("served", served, ServedDistributions, "a ServedDistributions or None")
     deployed = Deployable(agent, design, "the deployed policy")
-    return _DeployedPolicy(served, whole, deployed, rng, rng.spawn(1)[0], config, admissible, former).run(progress)
+    return _DeployedPolicy(served, whole, deployed, rng, rng.spawn(1)[0], config, admissible, known).run(progress)
 
 
 @dataclass(eq=False)

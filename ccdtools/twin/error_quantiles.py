@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -60,6 +60,10 @@ class ErrorQuantiles(Immutable):
     def dim(self) -> int:
         """Number of states."""
         return int(self.errors[0].shape[2])
+
+    def affine_map(self, M: Array, c: Array) -> ErrorQuantiles:
+        """Quantiles of errors M e + c."""
+        return replace(self, errors=tuple(e @ M.T + c for e in self.errors))
 
     def apart(self, steps: int) -> int:
         """Number of stretches of so many steps that do not overlap."""

@@ -10,9 +10,9 @@ from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.budgets import BLOCKS
-from ccdtools.twin.residuals import Logs, block_parts, check_errors, errors_of, of_linearisation, stacked
+from ccdtools.twin.residuals import Logs, block_parts, errors_of, of_linearisation, stacked
 from ccdtools.twin.tolerances import HELD_OUT
-from ccdtools_ground.door import as_finite, as_share
+from ccdtools_ground.door import as_share
 from invariant_sets import Polytope
 from learning.conformal import Conformal, samples_needed
 
@@ -62,12 +62,9 @@ def disturbance_set(
     model = model if model is None else as_model("model", model)
     given = errors_of(logs, model)
     for i, log in enumerate(given):
-        as_finite(f"logs[{i}].e_next", log.e_next)
         if not np.array_equal(log.p, given[0].p):
             got = f"design {log.p} beside {given[0].p}"
             raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")
-        if model is not None:
-            check_errors(f"logs[{i}]", model, log)
     if model is not None:
         given = [of_linearisation(model, log) for log in given]
     level = as_share("level", level)

@@ -16,6 +16,7 @@ from ccdtools.controllers.excited import Excited
 from ccdtools.controllers.signals import as_controller
 from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
+from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import EXCITATIONS
 from ccdtools.twin.plant_fit import PlantFit
 from ccdtools_ground.door import as_count, as_generator, as_instance, as_positive
@@ -156,16 +157,18 @@ def plan_experiment(
     known = fit.unknown.known(problem, fit.values[: len(free)])
     x0, w = known.scenarios.sample(runs, problem.steps, rng)
     seed = int(rng.integers(2**31))
-    tried: list[PlannedExperiment] = []
+    kept: list[tuple[str, Any, Array, Trajectory]] = []
     for words, one, start in _candidates(problem, law, p, x0, rng):
         scenario = Scenario(known.model, start, w, output=known.measurement, seed=seed)
         log = scenario.run(one, design=p, limit=problem.limit)
         if log.diverged.any():
-            if not tried:
+            if not kept:
                 got = f"a loop that loses {log.diverged.sum()} of {runs} runs on the plant of the fit"
                 raise InputError("controller", got, "one that loses none", "Fit a log that tells more of the plant.")
             continue
-        more = fit.with_log(problem, log)
+        kept.append((words, one, start, log))
+    tried = []
+    for (words, one, start, log), more in zip(kept, fit.with_each(problem, [log for *_, log in kept])):
         half = norm.ppf(0.975) * more.deviations
         inside = problem.state_limits(p).contains(log.states.reshape(-1, log.states.shape[2])).mean()
         loss = float(-log.returns(problem.objective).mean())

@@ -22,7 +22,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import BLOCKS, RIDGES
-from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, in_problem, residuals
+from ccdtools.twin.residuals import Logs, Residuals, errors_in, residuals
 from ccdtools.twin.transport import Transport, carried
 from ccdtools.twin.unknown_plant import disturbed, mean_disturbance, moved_at_rest
 from ccdtools_ground.door import as_instance
@@ -64,10 +64,7 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> L
 
 def _carried(problem: CoDesignProblem, logs: Logs, p: Array | None = None) -> list[Residuals]:
     """Errors of logs, at one design (np,): the last by default."""
-    errors = errors_of(logs, problem.model)
-    for i, log in enumerate(errors):
-        check_errors(f"logs[{i}]", problem.model, log)
-    in_problem(problem, errors)
+    errors = errors_in(problem, logs)
     at = errors[-1].p if p is None else p
     return [carried(problem.model, log, at, problem.state_scale) for log in errors]
 
@@ -189,8 +186,7 @@ def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Traje
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
-    errors = errors_of([residuals(problem.model, log, met=True) for log in given], None)
-    in_problem(problem, errors)
+    errors = errors_in(problem, [residuals(problem.model, log, met=True) for log in given])
     return IdentifiedPlant(problem.model, fitted_change(errors, problem.state_scale))
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import Bounds, minimize
 from scipy.stats import norm, t
@@ -17,8 +18,8 @@ from ccdtools.estimation.innovations import Innovations
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
-from ccdtools.trajectory import Trajectory
-from ccdtools.twin.residuals import in_problem, residuals
+from ccdtools.trajectory import Trajectory, check_clock
+from ccdtools.twin.residuals import errors_in, residuals
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.stuck_sensors import warn_of_stuck
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, mean_disturbance, stated_plant
@@ -92,17 +93,6 @@ class OutputLog(Immutable):
         as_finite("inputs", self.inputs)
         if self.times is not None:
             self._set(times=as_array("times", self.times, (steps,)))
-
-    def check_clock(self, argument: str, dt: float) -> None:
-        """Raise where a step has another length than dt."""
-        if self.times is None:
-            return
-        steps = np.diff(self.times)
-        wrong = np.flatnonzero(~np.isclose(steps, dt, rtol=0.01, atol=0.0))
-        if len(wrong):
-            got = f"{steps[wrong[0]]:g} s from sample {wrong[0]} to the next"
-            cure = "Cut the log there, or put NaN where samples are missing."
-            raise InputError(f"{argument}.times", got, f"dt = {dt:g} s, as the model", cure)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -182,15 +172,21 @@ class PlantFit(Immutable):
         left_out = [lost] if self.left_out[0] else []
         return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open), *left_out])
 
-    def with_log(self, problem: CoDesignProblem, log: Trajectory) -> PlantFit:
-        """Fit with one more log, at these values and errors."""
-        errors = self.errors
-        if errors is None:
-            given = OutputLog(log.outputs, log.inputs, log.design)
-            part: Any = _innovations(problem, self.unknown, given, len(self.names) > len(self.unknown.free))
+    def with_each(self, problem: CoDesignProblem, logs: Sequence[Trajectory]) -> Iterator[PlantFit]:
+        """Fits with one more log each, all of one design."""
+        functions = self.unknown.functions(problem, logs[0].design)
+        if self.errors is None:
+            scaled = len(self.names) > len(self.unknown.free)
+            given = [OutputLog(log.outputs, log.inputs, log.design) for log in logs]
+            parts: Any = (_innovations(problem, functions, log, scaled) for log in given)
         else:
-            step = self.unknown.functions(problem, log.design)[0]
-            part = StateErrors.of(step, mean_disturbance(problem), errors[0], log.states, log.inputs)
+            told = StateErrors.of(functions[0], mean_disturbance(problem), self.errors[0])
+            parts = (told.along(log.states, log.inputs) for log in logs)
+        return (self._with(problem, part) for part in parts)
+
+    def _with(self, problem: CoDesignProblem, part: Any) -> PlantFit:
+        """Fit with the errors of one more log."""
+        errors = self.errors
         more = _rows(*part.at(self.values)) * self.information.units
         known = replace(self.information, slopes=np.vstack([self.information.slopes, more]))
         covariance = known.covariance(1.0)
@@ -266,8 +262,7 @@ def fit_plant(
         raise InputError("logs", shown(logs), "at least one log")
     scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
     if output is None:
-        seen = [residuals(problem.model, log) for log in several]  # which checks the logs
-        in_problem(problem, seen)
+        seen = errors_in(problem, [residuals(problem.model, log) for log in several])
         p, measured = seen[-1].p, sum(log.e_next[:, 1:].size for log in seen)
     else:
         given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
@@ -283,7 +278,9 @@ def fit_plant(
         if output is None:
             found, z, left, size = _of_states(problem, unknown, several)
         else:
-            found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], len(noises))
+            each = [unknown.functions(problem, log.design) for log in given]
+            parts = [_innovations(problem, functions, log, scaled) for functions, log in zip(each, given)]
+            found = _Likelihood(unknown, parts, len(noises))
             z = found.largest()
         values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
     told = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
@@ -441,7 +438,7 @@ def _of_states(
     kept = [(log.states[~log.diverged], log.inputs[~log.diverged]) for log in logs]
     size = problem.state_scale
     for _ in range(rounds):
-        parts = [StateErrors.of(step, mean, size, *log) for step, log in zip(steps, kept)]
+        parts = [StateErrors.of(step, mean, size).along(*log) for step, log in zip(steps, kept)]
         found = _Likelihood(unknown, parts, problem.model.nx, end_of_noise=1.0)
         z = found.largest()
         left = [part.predicted(found.values(z))[0] for part in parts]
@@ -450,14 +447,15 @@ def _of_states(
     return found, z, left, last
 
 
-def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
+def _innovations(
+    problem: CoDesignProblem, functions: tuple[ca.Function, ca.Function], log: OutputLog, scaled: bool
+) -> Innovations:  # fmt: skip
     """Innovations of a log, by the problem's filter."""
     known = kalman_filter(problem, log.design)
     mean = mean_disturbance(problem)
     unstated = mean - problem.mean_disturbance
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
-    functions = unknown.functions(problem, log.design)
     return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
 
 
@@ -473,7 +471,7 @@ def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
     p = problem.design.check_one(log.design, argument=f"{argument}.design")
     found = OutputLog(outputs[kept], log.inputs[kept], p)
     if isinstance(log, OutputLog):
-        log.check_clock(argument, problem.model.dt)
+        check_clock(f"{argument}.times", log.times, problem.model.dt, "Or put NaN where samples are missing.")
     elif not np.isclose(log.dt, problem.model.dt):
         raise InputError(argument, f"dt = {log.dt:g} s", f"dt = {problem.model.dt:g} s of the model")
     stated = problem.measurement.output

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.residuals import Residuals, groups, in_problem, residuals
+from ccdtools.twin.residuals import Residuals, errors_in, groups
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count, as_generator, as_instance, shown
@@ -151,10 +151,7 @@ def replay_problem(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     steps = as_count("window", window) + as_count("warm_up", warm_up, least=0)
     split = ErrorSplit(problem.model, problem.state_scale)
-    given: Sequence[Any] = errors if isinstance(errors, list | tuple) else [errors]
-    logs = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
-    scenarios = Replay(logs, split, starts)
-    in_problem(problem, scenarios.logs)
+    scenarios = Replay(errors_in(problem, errors), split, starts)
     return replace(
         problem, model=split.replayed_model, scenarios=scenarios, steps=steps, warm_up=warm_up, discrepancy=None,
         risk=of_logged_runs(problem.risk),
@@ -184,7 +181,7 @@ def updated_problem(
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
-    in_problem(problem, twin.logs)
+    errors_in(problem, twin.logs)
     logs = twin.innovations()
     window = min(problem.steps, min(log.steps for log in logs)) if window is None else as_count("window", window)
     steps = window + as_count("warm_up", warm_up, least=0)

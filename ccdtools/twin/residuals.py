@@ -5,8 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from ccdtools.exceptions import InputError, LimitWarning
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.stuck_sensors import warn_of_stuck
-from ccdtools_ground.door import as_finite, as_floats, as_instance, shown
+from ccdtools_ground.door import as_finite, as_instance, shown
 
 if TYPE_CHECKING:
     from ccdtools.co_design.problem import CoDesignProblem
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Residuals(Immutable):
-    """One-step errors of a nominal model along logged runs, as read-only arrays.
+    """One-step errors along logged runs, finite and read-only.
 
     Attributes
     ----------
@@ -48,7 +47,7 @@ class Residuals(Immutable):
     def __post_init__(self) -> None:
         for name in ("e", "x", "u", "p", "e_next"):
             value = getattr(self, name)
-            object.__setattr__(self, name, frozen(as_floats(name, value)))
+            object.__setattr__(self, name, frozen(as_finite(name, value)))
         numbers = np.arange(self.runs) if self.numbers is None else np.asarray(self.numbers)
         if numbers.shape != (self.runs,):
             raise InputError("numbers", f"shape {numbers.shape}", f"({self.runs},), one per run")
@@ -85,10 +84,11 @@ class Residuals(Immutable):
         return e, x, u, p, e_next
 
 
-def residuals(model: Model, log: Trajectory, *, met: bool = False) -> Residuals:
+def residuals(model: Model, log: Trajectory, *, met: bool = False, argument: str = "log") -> Residuals:
     """One-step errors of `model` along the undiverged runs of `log`.
 
-    Those of f(x, u, w, p) if it has `met` the disturbance of the log, too.
+    Those of f(x, u, w, p) if it has `met` the disturbance of the log, too. Every function that takes logs of states
+    sees them as these errors, so what is wrong with a log is told here: a stuck sensor by a warning.
 
     Raises
     ------
@@ -97,44 +97,61 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False) -> Residuals:
         model's box.
     """
     model = as_model("model", model)
-    as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
-    sizes = (log.states.shape[2], log.inputs.shape[2])
-    if sizes != (model.nx, model.nu):
-        raise InputError("log", f"{sizes[0]} states and {sizes[1]} inputs", f"{model.nx} and {model.nu} of the model")
+    as_instance(argument, log, Trajectory, "a Trajectory, from deploy or simulate")
+    nx, nu = log.states.shape[2], log.inputs.shape[2]
+    if (nx, nu) != (model.nx, model.nu):
+        raise InputError(argument, f"{nx} states and {nu} inputs", f"{model.nx} and {model.nu} of the model")
     if not np.isclose(log.dt, model.dt):
-        raise InputError("log", f"dt = {log.dt:g} s", f"dt = {model.dt:g} s of the model")
+        raise InputError(argument, f"dt = {log.dt:g} s", f"dt = {model.dt:g} s of the model")
     if model.design is not None:
-        model.design.check_one(log.design, argument="log.design")
+        model.design.check_one(log.design, argument=f"{argument}.design")
     kept = ~log.diverged
     if not kept.any():
-        raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
-    x = as_finite("log.states", log.states[kept])
-    u = as_finite("log.inputs", log.inputs[kept])
+        raise InputError(argument, f"{len(kept)} runs that all diverged", "at least one that did not")
+    x = as_finite(f"{argument}.states", log.states[kept])
+    u = as_finite(f"{argument}.inputs", log.inputs[kept])
     w = log.disturbances[kept] if met else np.zeros((*u.shape[:2], model.nw))
     if w.shape[2] != model.nw:
-        raise InputError("log", f"{w.shape[2]} disturbances", f"{model.nw} of the model")
+        raise InputError(argument, f"{w.shape[2]} disturbances", f"{model.nw} of the model")
     e_next = x[:, 1:] - np.asarray(model.stepper(log.design, batch=1)(x[:, :-1], u, w))
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
+    names = log.names[:nx] or [f"x{j + 1}" for j in range(nx)]
+    warn_of_stuck(argument, x[:, :-1], u, names, lambda: e_next.std(axis=(0, 1)))
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 
 
 Logs: TypeAlias = Trajectory | Residuals | Sequence[Trajectory | Residuals]
 
 
-def errors_of(logs: Logs, model: Model | None) -> list[Residuals]:
-    """Errors along one log or several, given as trajectories or errors."""
-    given = list(logs) if isinstance(logs, list | tuple) else [logs]
+def errors_of(logs: Logs, model: Model | None, argument: str = "logs") -> list[Residuals]:
+    """Errors along one log or several."""
+    given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not given:
-        raise InputError("logs", shown(logs), "at least one log, a Trajectory or Residuals")
-    known = [residuals(model, one) if isinstance(one, Trajectory) and model is not None else one for one in given]
-    kinds = "a Trajectory, or Residuals" if model is not None else "Residuals; with `model=` a Trajectory, too"
-    return [as_instance(f"logs[{i}]", one, Residuals, kinds) for i, one in enumerate(known)]
+        raise InputError(argument, shown(logs), "at least one log, a Trajectory or Residuals")
+    if model is None:
+        kinds = "Residuals; with `model=` a Trajectory, too"
+        return [as_instance(f"{argument}[{i}]", one, Residuals, kinds) for i, one in enumerate(given)]
+    return [_errors(f"{argument}[{i}]", one, model) for i, one in enumerate(given)]
 
 
-def in_problem(problem: CoDesignProblem, logs: Sequence[Residuals]) -> None:
-    """Warn of logs whose states mostly lie outside X, or that a stuck sensor has told."""
-    for i, log in enumerate(logs):
-        warn_of_stuck(f"logs[{i}]", log.x, log.u, problem.state_names, partial(_disturbed, problem, log.p))
+def _errors(argument: str, log: Trajectory | Residuals, model: Model) -> Residuals:
+    """Errors of a log of the model."""
+    if isinstance(log, Trajectory):
+        return residuals(model, log, argument=argument)
+    as_instance(argument, log, Residuals, "a Trajectory, or Residuals")
+    sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
+    if sizes != (model.nx, model.nx, model.nu):
+        got = f"{sizes[0]} states with {sizes[1]} errors and {sizes[2]} inputs"
+        raise InputError(argument, got, f"{model.nx} states with as many errors and {model.nu} inputs of the model")
+    if model.design is not None:
+        model.design.check_one(log.p, argument=f"{argument}.p")
+    return log
+
+
+def errors_in(problem: CoDesignProblem, logs: Logs) -> list[Residuals]:
+    """Errors along logs; states mostly outside X are warned of."""
+    errors = errors_of(logs, problem.model)
+    for log in errors:
         inside = problem.state_limits(log.p).contains(log.x.reshape(-1, problem.model.nx)).mean()
         if inside < 0.5:
             warnings.warn(
@@ -142,12 +159,7 @@ def in_problem(problem: CoDesignProblem, logs: Sequence[Residuals]) -> None:
                 "that is about a rest, deviations from it.",
                 LimitWarning, stacklevel=3,
             )  # fmt: skip
-
-
-def _disturbed(problem: CoDesignProblem, p: Array) -> Array:
-    """Deviations (nx,) of what a disturbance adds to the states in a step."""
-    E = problem.model.matrices(p)[2]
-    return np.sqrt(np.maximum(np.diag(E @ problem.moments[2] @ E.T), 0.0))
+    return errors
 
 
 def of_linearisation(model: Model, errors: Residuals) -> Residuals:
@@ -155,18 +167,6 @@ def of_linearisation(model: Model, errors: Residuals) -> Residuals:
     A, B, _ = model.matrices(errors.p)
     after = model.undisturbed(errors.p)(errors.x, errors.u) + errors.e_next
     return replace(errors, e_next=after - errors.x @ A.T - errors.u @ B.T)
-
-
-def check_errors(argument: str, model: Model, log: Residuals) -> None:
-    """Raise an `InputError` unless `log` is finite and fits sizes and design."""
-    sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
-    if sizes != (model.nx, model.nx, model.nu):
-        got = f"{sizes[0]} states with {sizes[1]} errors and {sizes[2]} inputs"
-        raise InputError(argument, got, f"{model.nx} states with as many errors and {model.nu} inputs of the model")
-    if model.design is not None:
-        model.design.check_one(log.p, argument=f"{argument}.p")
-    for name in ("x", "u", "e_next"):
-        as_finite(f"{argument}.{name}", getattr(log, name))
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:

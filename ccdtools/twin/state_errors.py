@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -33,15 +33,20 @@ class StateErrors:
     runs: int
 
     @classmethod
-    def of(cls, step: ca.Function, w: Array, size: Array, states: Array, inputs: Array) -> StateErrors:
-        """Errors of a step along states (n, T + 1, nx)."""
+    def of(cls, step: ca.Function, w: Array, size: Array) -> StateErrors:
+        """Errors of a step, along nothing yet."""
         x, u, after, theta = (ca.MX.sym("given", step.size1_in(i)) for i in (0, 1, 0, 3))
         error = (after - step(x, u, w, theta)) / size
         told = ca.Function("told", [x, u, after, theta], [error, ca.jacobian(error, theta)])
         with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
             told = told.expand()
+        return cls(told, (np.zeros(0),) * 3, 0)
+
+    def along(self, states: Array, inputs: Array) -> StateErrors:
+        """Errors along states (n, T + 1, nx)."""
         columns = (states[:, :-1], inputs, states[:, 1:])
-        return cls(told, tuple(column.reshape(-1, column.shape[2]).T for column in columns), len(states))  # type: ignore[arg-type]
+        x, u, after = (column.reshape(-1, column.shape[2]).T for column in columns)
+        return replace(self, samples=(x, u, after), runs=len(states))
 
     def of_one_step(self, theta: Array) -> tuple[Array, Array]:
         """Errors (n, T, nx) of one step, and slopes (n, T, nx, m)."""

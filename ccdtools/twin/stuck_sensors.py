@@ -51,7 +51,7 @@ def warn_of_stuck(
         chance = repeats[:, :, j].size * (2 * norm.cdf(step / (2 * moves)) - 1) ** length
         if chance <= level / len(names):
             said = f"{names[j]} repeats {signals[run, first, j]:g} over {length + 1} samples, from {first} of run {run}"
-            expected = f"the stated noise leaves that to chance in less than one of {1 / level:.0e} logs"
+            expected = f"noise of their size leaves that to chance in less than one of {1 / level:.0e} logs"
             cure = (
                 "A sensor is stuck, or coarser than its noise, or the plant stands there: put NaN if it says nothing."
             )

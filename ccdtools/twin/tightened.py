@@ -18,7 +18,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.twin.error_quantiles import ErrorQuantiles
 from ccdtools.twin.error_set import disturbance_set
-from ccdtools.twin.residuals import Logs, check_errors, errors_of
+from ccdtools.twin.residuals import Logs, errors_in
 from ccdtools_ground.door import as_choice, as_count, as_generator
 from invariant_sets import Polytope, SetResult, Status
 from mpc import LinearMPC, Status as Solved
@@ -134,11 +134,10 @@ def robust_mpc(
     as_seen_problem(problem)
     seed = int(as_generator("rng", rng).integers(2**63))
     p = problem.design.check_one(design)
-    given = errors_of(logs, problem.model)
+    given = errors_in(problem, logs)
     by_set = as_choice("errors", errors, ERRORS) == "set"
     steps = as_count("horizon", horizon)
-    for i, log in enumerate(given):
-        check_errors(f"logs[{i}]", problem.model, log)
+    for log in given:
         if not np.array_equal(log.p, p):
             cure = "`DigitalTwin.carried()` carries them to the newest."
             raise InputError("logs", f"logs at {log.p}", f"at {p}", cure)

@@ -139,17 +139,18 @@ class DiscreteModel:
         along = [Buffered(one.map("second_along", "serial", self.horizon, [3], [])) for one in functions]
         return along[0], along[1]
 
-    def at_rest(self, p: Array) -> tuple[Array, Array]:
-        """Derivatives ∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) at rest."""
-        dA, dB = (np.asarray(ca.densify(value), dtype=float) for value in self._at_rest(0, 0, 0, p))
-        nx, nu = self.step.numel_in(0), self.step.numel_in(1)
-        return dA.reshape((nx, nx, len(p)), order="F"), dB.reshape((nx, nu, len(p)), order="F")
+    def at_rest(self, p: Array) -> list[Array]:
+        """Derivatives ∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at rest."""
+        found = (np.asarray(ca.densify(value), dtype=float) for value in self._at_rest(0, 0, 0, p))
+        sizes = ((self.step.numel_in(0), self.step.numel_in(i), len(p)) for i in range(3))
+        return [value.reshape(size, order="F") for value, size in zip(found, sizes)]
 
     @cached_property
     def _at_rest(self) -> ca.Function:
-        """Function of derivatives of A and B by p, built on demand."""
+        """Function of derivatives of A, B and E by p, built on demand."""
         x, u, w, p = symbols_of(self.step).values()
-        mixed = [ca.jacobian(ca.vec(matrix), p) for matrix in self.derivatives(x, u, w, p)[1:]]
+        matrices = [*self.derivatives(x, u, w, p)[1:], ca.jacobian(self.step(x, u, w, p), w)]
+        mixed = [ca.jacobian(ca.vec(matrix), p) for matrix in matrices]
         return ca.Function("at_rest", [x, u, w, p], mixed)
 
     def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:

@@ -312,15 +312,14 @@ class NonlinearMPC(Immutable):
         """
         x = as_array("x", x, (self.states,))
         self._check_start(start)
-        self.problem.check_rest(signals, moves=len(self.p) > 0)
         given = spread_signals(self.problem, dict(signals))
         planner: Any = self.planner
         to_the_end = replace(planner, iterations=None, time_limit=np.inf)
         plan = to_the_end.plan(x, given, start)
-        at_rest = self.model.at_rest(self.p)
+        dA, dB, dE = self.model.at_rest(self.p)
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
-               "d_rate_limit": d_rate_limit, "dA": at_rest[0], "dB": at_rest[1]}  # fmt: skip
-        changes = as_changes(self.problem, own, len(self.p))
+               "d_rate_limit": d_rate_limit, "dA": dA, "dB": dB, "dE": dE if self.disturbances else None}  # fmt: skip
+        changes = as_changes(self.problem, own, len(self.p), settles=self.problem.settles(signals))
         derivatives = self.model.along_signals(disturbance(self.problem, given), self.p)
         return sensitivity_of(self.problem, derivatives, changes, plan, given)
 
@@ -404,13 +403,12 @@ class NonlinearMPC(Immutable):
 
 def _invariant_set(law: MPCProblem) -> Polytope:
     """Largest set in which the linearisation keeps X and U under LQR."""
-    (HX, hX), (HU, hU) = law.state_rows, law.input_rows
+    (HX, hX), (HU, hU) = law.about_rest["state"], law.about_rest["input"]
     if not len(hX) + len(hU):
         raise InputError("terminal_set", "'invariant'", "a set, or None", "Without X and U every state is in it.")
-    x, u = law.rest
-    both = Polytope(np.vstack([HX, -HU @ law.gain]), np.concatenate([hX - HX @ x, hU - HU @ u]))
+    both = Polytope(np.vstack([HX, -HU @ law.gain]), np.concatenate([hX, hU]))
     found = maximal_positively_invariant_set(law.A - law.B @ law.gain, both)
     if found.set.is_empty:
         got = f"'invariant', of which none was found ({found.status.name})"
         raise InputError("terminal_set", got, "one about the rest, which is 0 without a mean", found.status.advice)
-    return Polytope(found.set.A, found.set.b + found.set.A @ x)
+    return Polytope(found.set.A, found.set.b + found.set.A @ law.rest[0])

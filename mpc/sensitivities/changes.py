@@ -26,7 +26,8 @@ class Changes:
     """Derivatives of cost and limits by np parameters.
 
     Q, R, S, P : (·, ·, np); bounds : by kind of constraint (rows, np), of h in {v : Hv <= h}; units : likewise, of the
-    units in which violations of soft limits have a price; model : dA, dB and dE (·, ·, np) of a linear model.
+    units in which violations of soft limits have a price; model : dA, dB and dE (·, ·, np) of a linear model; reference
+    : (nx + nu, np) of the state and input about which the cost is counted.
     """
 
     Q: Array
@@ -36,6 +37,7 @@ class Changes:
     bounds: dict[str, Array]
     units: dict[str, Array]
     model: dict[str, Array]
+    reference: Array
 
     @property
     def parameters(self) -> int:
@@ -43,11 +45,14 @@ class Changes:
         return int(self.Q.shape[-1])
 
 
-def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count: int | None = None) -> Changes:
+def as_changes(
+    problem: MPCProblem, given: Mapping[str, ArrayLike | None], count: int | None = None, *, settles: bool = False
+) -> Changes:  # fmt: skip
     """Derivatives dA, …, d_rate_limit, checked; 0 for None.
 
-    Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others. The
-    number of parameters is `count`, by default what the arrays say.
+    Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others, as does
+    that of the rest where it `settles` there without a reference. The number of parameters is `count`, by default what
+    the arrays say.
     """
     nx, nu, nw = problem.nx, problem.nu, problem.nw
     if given.get("dE") is not None and not nw:
@@ -74,7 +79,27 @@ def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count
               "rate": np.tile(found["d_rate_limit"], (2, 1))}  # fmt: skip
     model = {name: found[name] for name in ("dA", "dB", "dE")}
     units = {} if problem.soft is None else _unit_changes(problem.limits, bounds, found["dB"])
-    return Changes(found["dQ"], found["dR"], found["dS"], found["dP"], bounds, units, model)
+    reference = _rest_changes(problem, found) if settles else np.zeros((nx + nu, found["dQ"].shape[-1]))
+    return Changes(found["dQ"], found["dR"], found["dS"], found["dP"], bounds, units, model, reference)
+
+
+def _rest_changes(problem: MPCProblem, changes: Mapping[str, Array]) -> Array:
+    """Derivatives (nx + nu, np) of the rest.
+
+    There z'Wz is least of all with Gz + Ew = 0.
+    """
+    nx, size = problem.nx, problem.nx + problem.nu
+    z, G = np.concatenate(problem.rest), np.hstack([problem.A - np.eye(nx), problem.B])
+    W, dS = problem.stage_weight, changes["dS"]
+    multipliers = -np.linalg.lstsq(G.T, W @ z, rcond=None)[0]
+    dG = np.concatenate([changes["dA"], changes["dB"]], axis=1)
+    dW = np.block([[[changes["dQ"]], [dS]], [[dS.swapaxes(0, 1)], [changes["dR"]]]])
+    slope = np.einsum("ijp,j->ip", dW, z) + np.einsum("ijp,i->jp", dG, multipliers)
+    drift = np.einsum("ijp,j->ip", dG, z)
+    if problem.mean is not None:
+        drift = drift + np.einsum("iwp,w->ip", changes["dE"], problem.mean)
+    conditions = np.block([[W, G.T], [G, np.zeros((nx, nx))]])
+    return np.asarray(-np.linalg.solve(conditions, np.concatenate([slope, drift]))[:size])
 
 
 def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[str, Array]:

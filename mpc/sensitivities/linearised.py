@@ -93,6 +93,10 @@ class Linearised:
         mixed = 2 * np.einsum("pij,kj->kip", conditions.stage_change, steps)
         end_mixed = 2 * np.einsum("ijp,j->ip", conditions.changes.P, error[-1])
         self.cost_of_parameters = 0.5 * (np.einsum("ki,kip->p", steps, mixed) + error[-1] @ end_mixed)
+        about = conditions.changes.reference
+        self.cost_of_parameters -= self.slope.sum(axis=0) @ about + self.end_slope @ about[:nx]
+        mixed = mixed - 2 * problem.stage_weight @ about
+        end_mixed = end_mixed - 2 * problem.P @ about[:nx]
         curvature = np.broadcast_to(2 * problem.stage_weight, (N, nx + problem.nu, nx + problem.nu))
         self.curvature = self._hessian(forms, curvature)[:, conditions.free]  # of the cost alone
         diagonal = self.curvature.diagonal()

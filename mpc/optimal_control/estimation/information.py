@@ -34,7 +34,7 @@ class Information:
     @cached_property
     def modes(self) -> tuple[Array, Array]:
         """Singular values (k,), falling, and their combinations (m, k)."""
-        _, found, V = np.linalg.svd(self.slopes @ self.directions, full_matrices=True)
+        _, found, V = np.linalg.svd(np.linalg.qr(self.slopes @ self.directions, mode="r"))
         values = np.zeros(self.directions.shape[1])
         values[: len(found)] = found[: len(values)]
         return values, self.directions @ V.T

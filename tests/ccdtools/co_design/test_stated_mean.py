@@ -1,6 +1,7 @@
 """A disturbance's stated mean in MPC and sets, as in LQR."""
 
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import cvxpy as cp
@@ -15,6 +16,8 @@ from ccdtools import (
     InputError,
     Plant,
     QuadraticObjective,
+    deploy,
+    design_sensitivity,
     discretise,
     expert_dataset,
     feasible_sets,
@@ -23,7 +26,9 @@ from ccdtools import (
     saturated_lqr,
 )  # fmt: skip
 from ccdtools.co_design import admissible_inputs
-from invariant_sets import maximal_control_invariant_set
+from ccdtools.co_design.lqr_regions import LQRRegions
+from ccdtools.twin import robust_mpc
+from invariant_sets import Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, lqr
 from mpc.optimal_control import NonlinearMPC
 
@@ -99,14 +104,10 @@ def test_a_call_with_a_disturbance_or_references_of_its_own_goes_by_them():
 def test_what_a_mean_does_not_go_with_is_named():
     problem = problem_of()
     A, B, c = pushed(problem)
-    for wrong in ({}, {"E": np.eye(2), "W": (-0.1 * np.ones(2), 0.1 * np.ones(2)), "X": (-9, 9), "U": (-9, 9)}):
-        with pytest.raises(InputError, match=r"mean.*(without E|beside W)"):
-            LinearMPC(A, B, Q=Q, R=R, horizon=5, mean=c, **wrong)
+    with pytest.raises(InputError, match=r"mean.*without E"):
+        LinearMPC(A, B, Q=Q, R=R, horizon=5, mean=c)
     with pytest.raises(InputError, match=r"mean.*\(2,\)"):
         LinearMPC(A, B, Q=Q, R=R, horizon=5, E=np.eye(2), mean=c[:1])
-    with pytest.raises(InputError, match=r"mean.*x_ref and u_ref"):
-        linear_mpc(problem, DESIGN).sensitivity([0.1, 0.0], dA=np.ones((2, 2, 1)))
-    assert linear_mpc(problem, DESIGN).sensitivity([0.1, 0.0]).status.name == "SMOOTH"
 
 
 def test_sets_are_those_about_the_rest():
@@ -153,17 +154,92 @@ def test_nonlinear_mpc_settles_where_the_cost_is_least():
     assert x @ Q @ x + u @ R @ u < 1.001 * best
 
 
-def test_derivatives_beside_a_mean_are_of_given_references_alone():
-    problem = problem_of()
-    nonlinear = nonlinear_mpc(problem, DESIGN, horizon=8)
-    linear = linear_mpc(problem, DESIGN, horizon=8)
-    dA = np.ones((2, 2, 1))
-    for call in (lambda **refs: nonlinear.sensitivity([0.3, 0.0], **refs),
-                 lambda **refs: linear.sensitivity([0.3, 0.0], dA=dA, **refs)):  # fmt: skip
-        for none in ({}, {"x_ref": None}):
-            with pytest.raises(InputError, match="a rest that moves with the parameters"):
-                call(**none)
-        assert np.isfinite(call(x_ref=np.zeros((9, 2)), u_ref=np.zeros((8, 1))).input_by_parameters).all()
+@pytest.mark.parametrize("controller", ["lqr", "mpc", "nmpc"])
+@pytest.mark.parametrize("swing", [False, True])
+def test_slopes_by_the_design_move_the_rest_along(controller, swing):
+    problem, x, step = problem_of(0.4, U=(-0.35, 9.0), swing=swing), np.array([-0.4, 0.1]), 1e-5
+    found = design_sensitivity(problem, DESIGN, x, controller=controller, horizon=8)
+    near = [design_sensitivity(problem, [2.0 + d], x, controller=controller, horizon=8) for d in (step, -step)]
+    laws = {"lqr": saturated_lqr, "mpc": linear_mpc, "nmpc": partial(nonlinear_mpc, iterations=None)}
+    more, own = ({"horizon": 8}, problem) if controller != "lqr" else ({}, replace(problem, U=(-9.0, 9.0)))
+    inputs = [laws[controller](own, [2.0 + d], **more)(x) for d in (step, -step)]
+    assert found.cost_by_design[0] == pytest.approx((near[0].cost - near[1].cost) / (2 * step), rel=1e-5)
+    assert found.input_by_design[:, 0] == pytest.approx((inputs[0] - inputs[1]) / (2 * step), rel=1e-4, abs=1e-6)
+    assert abs(found.input_by_design[0, 0]) > 1e-3 or controller == "mpc"
+    still = design_sensitivity(
+        problem_of(0.0, U=(-0.35, 9.0), swing=swing), DESIGN, x, controller=controller, horizon=8
+    )
+    assert abs(found.cost / still.cost - 1) > 0.1
+
+
+def test_slopes_of_plans_beside_a_mean_are_by_differences_with_and_without_references():
+    problem, x, step = problem_of(U=(-9.0, 9.0)), [0.3, 0.0], 1e-6
+    A, B, E = problem.model.matrices(np.array(DESIGN))
+    dA, dB, dE, dQ = (np.random.default_rng(0).standard_normal((*M.shape, 1)) for M in (A, B, E, Q))
+    dQ += dQ.swapaxes(0, 1)
+
+    def law(d):
+        changed = [M + d * dM[:, :, 0] for M, dM in ((A, dA), (B, dB), (E, dE), (Q, dQ))]
+        return LinearMPC(*changed[:2], Q=changed[3], R=R, horizon=6, E=changed[2], mean=[0.4], X=(-9, 9), U=(-9, 9))
+
+    for refs in ({}, {"x_ref": np.zeros((7, 2)), "u_ref": np.zeros((6, 1))}):
+        found = law(0.0).sensitivity(x, dA=dA, dB=dB, dE=dE, dQ=dQ, **refs)
+        up, down = (law(d).solve(x, **refs) for d in (step, -step))
+        np.testing.assert_allclose(
+            found.inputs_by_parameters[:, :, 0], (up.inputs - down.inputs) / (2 * step), atol=1e-4
+        )
+        assert found.cost_by_parameters[0] == pytest.approx((up.cost - down.cost) / (2 * step), rel=1e-4)
+
+
+def test_robust_mpc_is_that_about_the_rest():
+    problem = problem_of(U=(-1.0, 1.0), X=(-1.0, 1.0))
+    A, B, c = pushed(problem)
+    W = Polytope.from_bounds(c - np.array([0.01, 0.03]), c + np.array([0.02, 0.03]))
+    mpc = linear_mpc(problem, DESIGN, horizon=6, W=W)
+    x, u = mpc.rest
+    about = LinearMPC(A, B, Q=Q, R=R, horizon=6, W=([-0.01, -0.03], [0.02, 0.03]), X=(-1 - x, 1 - x), U=(-1 - u, 1 - u))
+    states = np.random.default_rng(0).uniform(-0.9, 0.9, (40, 2))
+    plans, others = mpc.solve_many(states), about.solve_many(states - x)
+    assert [plan.status for plan in plans] == [plan.status for plan in others]
+    for plan, other in zip(plans, others):
+        np.testing.assert_allclose(plan.inputs[0], u + other.inputs[0], atol=1e-6)
+    rng, state = np.random.default_rng(1), states[[plan.status.name == "SOLVED" for plan in plans]][0]
+    for _ in range(300):
+        state = A @ state + B @ mpc(state) + W.vertices[rng.integers(len(W.vertices))]
+        assert (np.abs(state) <= 1 + 1e-7).all()
+    still = [law(x) for law in (mpc, linear_mpc(problem, DESIGN))]
+    np.testing.assert_allclose(still, [u, u], atol=1e-7)
+
+
+@pytest.mark.parametrize("swing", [False, True])
+def test_the_region_of_lqr_is_that_of_the_loop_that_is_pushed(swing):
+    problem = problem_of(0.8, U=(-1.0, 1.0), X=(-1.0, 1.0), swing=swing)
+    states = np.random.default_rng(0).uniform(-1, 1, (400, 2))
+    designs = np.tile(DESIGN, (400, 1))
+    data = {name: expert_starts(one, states, designs) for name, one in (
+        ("pushed", problem), ("still", problem_of(0.0, U=(-1.0, 1.0), X=(-1.0, 1.0), swing=swing))
+    )}  # fmt: skip
+    law, x, step = saturated_lqr(problem, DESIGN), states, problem.model.stepper(np.array(DESIGN), batch=400)
+    kept = np.ones(400, dtype=bool)
+    for _ in range(600):
+        x = np.asarray(step(x, law(x), np.tile(problem.mean_disturbance, (400, 1))))
+        kept &= (np.abs(x) <= 1 + 1e-6).all(axis=1)
+    np.testing.assert_array_equal(data["pushed"], kept)
+    assert (data["pushed"] != data["still"]).sum() > 10
+
+
+def expert_starts(problem, states, designs):
+    """Whether each state lies in the region that saturated LQR keeps."""
+    return LQRRegions.of(problem, designs).contains(states, np.arange(len(states)))
+
+
+@pytest.mark.check
+def test_an_expert_learns_from_starts_about_the_rest():
+    problem = problem_of(0.9, U=(-1.0, 1.0), X=(-1.0, 1.0))
+    data = expert_dataset(problem, samples=60, sets="lqr", rng=np.random.default_rng(0))
+    assert data.sets.lqr == 60
+    assert data.diverged == 0.0
+    assert data.acceptance > 0.3
 
 
 def test_a_mean_of_zero_is_none_and_references_need_no_rest():
@@ -195,3 +271,16 @@ def test_an_invariant_terminal_set_is_that_of_the_regulator_about_the_rest():
         assert (u >= -0.9 - 1e-7).all()
         assert (u <= 0.5 + 1e-7).all()
         assert mpc.problem.terminal_set.contains(after, 1e-7)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("errors", ["set", "quantiles", "normal"])
+def test_the_controller_of_a_log_settles_where_mpc_does(errors):
+    problem = replace(problem_of(0.4, U=(-1.5, 1.5), X=(-1.5, 1.5)), steps=40)
+    w = problem.scenarios.disturbance.sample(40, 40, np.random.default_rng(0))
+    log = deploy(problem.model, saturated_lqr(problem, DESIGN), DESIGN, w, x0=[0.5, 0.0])
+    found = robust_mpc(problem, DESIGN, log, level=0.8, horizon=5, runs=3, errors=errors, rng=np.random.default_rng(0))
+    x, u = linear_mpc(problem, DESIGN).rest
+    assert abs(u[0]) > 0.2
+    np.testing.assert_allclose(found.controller(x), u, atol=1e-6)
+    assert found.planned == 1.0

@@ -299,6 +299,7 @@ def test_a_small_sample_of_the_benchmark_finds_no_violation(capsys):
     assert cells[7] == "0"
 
 
+@pytest.mark.filterwarnings("ignore:.*states lie outside X")
 def test_a_start_without_a_plan_is_told_and_has_one_over_a_longer_horizon():
     # 1 m at 0.1 m/s and 0.1 s a sample takes a hundred samples
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("m")

@@ -1,5 +1,6 @@
 """Logs as a stranger's recorder leaves them, kind by kind, at each function that takes one."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import casadi as ca
@@ -24,14 +25,15 @@ from ccdtools.twin import (
     disturbance_set,
     drift_of_log,
     fit_plant,
+    free_running_bands,
     identified_change,
     identified_lqr,
     identified_plant,
     outside_data,
     replay_problem,
     robust_mpc,
-    updated_problem,
 )
+from mpc import InfeasibleError
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
 PLANT = Plant(x, u, w, p, ca.vertcat(x[1], -p * x[0] - 0.4 * x[1] + u + w), DesignSpace(["k"], [1.0], [5.0]), dt=0.1)
@@ -79,6 +81,7 @@ FUNCTIONS = OF_PROBLEM | {
     "disturbance_set": lambda log: disturbance_set(log, level=0.9, model=PROBLEM.model),
     "drift_of_log": lambda log: drift_of_log(TWIN, log),
     "outside_data": lambda log: outside_data(TWIN, log),
+    "free_running_bands": lambda log: free_running_bands(TWIN, log, saturated_lqr(PROBLEM, [2.0]), rng=rng(), draws=9),
 }
 WRONG = {
     "a gap": (lambda: changed("states", np.nan), "states"),
@@ -104,22 +107,30 @@ def test_a_wrong_log_is_named(function, kind):
         FUNCTIONS[function](given)
 
 
-@pytest.mark.parametrize("function", OF_PROBLEM)
-def test_a_stuck_sensor_and_other_units_are_told(function):
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_a_stuck_sensor_is_told(function):
     stuck = np.array(LOG.states)
     stuck[:, 20:80, 1] = stuck[:, 20:21, 1]
-    with pytest.warns(UserWarning, match="x2 repeats"):
-        OF_PROBLEM[function](replace(LOG, states=stuck))
+    with pytest.warns(UserWarning, match="x2 repeats"), suppress(InfeasibleError):
+        FUNCTIONS[function](replace(LOG, states=stuck))
+
+
+@pytest.mark.parametrize("jump", [0.1, -0.15])
+def test_no_log_has_a_clock_that_jumps(jump):
+    clock = 5.0 + 0.1 * np.arange(101)
+    assert replace(LOG, times=clock).times is not None
+    clock[31:] += jump
+    with pytest.raises(InputError, match=r"times.* from sample 30 .*dt = 0\.1 s.*Cut the log"):
+        replace(LOG, times=clock)
+    with pytest.raises(InputError, match=r"times.*\(101,\)"):
+        replace(LOG, times=clock[1:])
+
+
+@pytest.mark.parametrize("function", [*OF_PROBLEM, "robust_mpc"])
+def test_other_units_are_told(function):
     small = replace(LOG, states=1000 * LOG.states)
-    with pytest.warns(LimitWarning, match="lie outside X"):
-        OF_PROBLEM[function](small)
-
-
-def test_a_twin_of_a_log_with_a_stuck_sensor_is_told_where_a_problem_takes_it():
-    stuck = np.array(LOG.states)
-    stuck[:, 20:80, 1] = stuck[:, 20:21, 1]
-    with pytest.warns(UserWarning, match="x2 repeats"):
-        updated_problem(PROBLEM, taught(replace(LOG, states=stuck)))
+    with pytest.warns(LimitWarning, match="lie outside X"), suppress(InfeasibleError):
+        FUNCTIONS[function](small)
 
 
 @pytest.mark.parametrize("function", ["fit_plant", "update", "disturbance_set", "robust_mpc", "replay_problem"])

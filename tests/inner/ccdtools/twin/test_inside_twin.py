@@ -71,8 +71,8 @@ def test_a_part_is_a_stretch_of_every_column(illustrative, log):
 
 def counted(runs, steps, illustrative):
     """A log whose states count the samples."""
-    states = np.zeros((runs, steps + 1, 2))
-    states[..., 0] = np.arange(steps + 1) + 1000 * np.arange(runs)[:, None]
+    states = np.empty((runs, steps + 1, 2))
+    states[:] = (np.arange(steps + 1) + 1000 * np.arange(runs)[:, None])[..., None]
     log = Trajectory(
         states, np.zeros((runs, steps, 1)), np.zeros((runs, steps, 2)), np.full(runs, -1), np.array(DESIGN), 1.0
     )
