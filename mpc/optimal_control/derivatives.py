@@ -105,19 +105,20 @@ class Derivatives:
         whole = self._summed((self.n, self.n), map(curved, self.pieces), upper=True)
         return ca.Function("hess_lag", [self.v, of_cost, multipliers], [whole])
 
-    @cached_property
-    def scaled(self) -> tuple[Any, dict[str, ca.Function]]:
-        """Program in z = v / s, cost / c and rows / r, for `casadi.nlpsol`.
+    def scaled(self, kept: Any) -> tuple[Any, dict[str, ca.Function]]:
+        """Program in z = v / s, cost / c and `kept` rows / r for Ipopt.
 
-        Its parameters are (s, c, r): sizes change without building anew.
+        Its parameters are (s, c, r): sizes change without building anew. Ipopt factorises rows without a bound, too.
         """
-        z, given = ca.MX.sym("x", self.n), ca.MX.sym("p", self.n + 1 + self.m)
-        of_cost, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.m)
+        z, given = ca.MX.sym("x", self.n), ca.MX.sym("p", self.n + 1 + len(kept))
+        of_cost, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
         s, c, r = given[: self.n], given[self.n], given[self.n + 1 :]
-        v = z * s
+        v, own = z * s, np.asarray(kept).tolist()
         f, g = (ca.Function(name, [self.v], [value])(v) for name, value in (("f", self.f), ("g", self.g)))
         (with_slope, slope), (with_jacobian, whole) = (function(v) for function in self.jacobian)
-        curvature = self.hessian(v, of_cost / c, multipliers / r)
+        g, with_jacobian, whole, on_rows = g[own], with_jacobian[own], whole[own, :], ca.MX.zeros(self.m)
+        on_rows[own] = multipliers / r
+        curvature = self.hessian(v, of_cost / c, on_rows)
         rows, columns = whole.sparsity().get_triplet()
         jacobian = ca.MX(whole.sparsity(), ca.vec(whole.nz[:]) * ca.vec(s[columns]) / ca.vec(r[rows]))
         first, second = curvature.sparsity().get_triplet()

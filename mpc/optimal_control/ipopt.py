@@ -62,15 +62,16 @@ class Found:
 
 def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | None, settings: Settings) -> Found:
     """Solve with the program's present sizes."""
-    size, of_cost = program.scale, program.cost_scale
+    size, of_cost, kept = program.scale, program.cost_scale, program.limited
+    of_rows = program.row_scale[kept]
     given: dict[str, Any] = {
         "x0": guess / size, "lbx": program.lower / size, "ubx": program.upper / size,
-        "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale,
-        "p": np.concatenate([size, [of_cost], program.row_scale]),
+        "lbg": program.row_lower[kept] / of_rows, "ubg": program.row_upper[kept] / of_rows,
+        "p": np.concatenate([size, [of_cost], of_rows]),
     }  # fmt: skip
     if multipliers is not None:
         given |= {
-            "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
+            "lam_g0": multipliers["rows"][kept] * of_rows / of_cost,
             "lam_x0": multipliers["bounds"] * size / of_cost,
         }
     with ONE_AT_A_TIME:
@@ -79,7 +80,9 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
             watch.begin(given)
         result = solver(**given)
         stats = solver.stats()
-    z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
+    z, pushes, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
+    on_rows = np.zeros(len(program.row_scale))
+    on_rows[kept] = pushes
     said = str(stats["return_status"])
     if said == "Invalid_Option":
         raise InputError("options", brief(repr(settings.options)), "options that this Ipopt accepts")
@@ -102,11 +105,11 @@ def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestItera
     given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": BOTTOMLESS, "mumps_pivot_order": 6}
     ipopt = given | limits | settings.options
     made = program.derivatives.solvers
-    key = repr((sorted(ipopt.items()), settings.may_stop))
+    key = repr((sorted(ipopt.items()), settings.may_stop)), program.limited.tobytes()
     if key in made:
         return made[key]  # type: ignore[no-any-return]
-    statement, functions = program.derivatives.scaled
-    watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.may_stop else None
+    statement, functions = program.derivatives.scaled(program.limited)
+    watch = BestIterate(len(program.lower), len(program.limited)) if settings.may_stop else None
     plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "inputs_check": False}
     own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
     try:
@@ -176,10 +179,11 @@ def _checked(program: SizedProgram, z: Array, on_rows: Array, on_bounds: Array,
     rows = rows / program.row_scale
     gradient, of_cost = (value * program.scale / program.cost_scale for value in (gradient, of_cost))
     size = max(1.0, float(np.abs(of_cost).max(initial=0.0)), float(np.abs(on_rows).max(initial=0.0)))
-    violations = np.maximum.reduce([given["lbg"] - rows, rows - given["ubg"], np.zeros(len(rows))])
+    low, high = program.row_lower / program.row_scale, program.row_upper / program.row_scale
+    violations = np.maximum.reduce([low - rows, rows - high, np.zeros(len(rows))])
     outside = np.maximum.reduce([given["lbx"] - z, z - given["ubx"], np.zeros(len(z))])
     of_bounds = _complementarity(z, on_bounds, given["lbx"], given["ubx"])
-    of_rows = _complementarity(rows, on_rows, given["lbg"], given["ubg"])
+    of_rows = _complementarity(rows, on_rows, low, high)
     return Residuals(
         float(np.abs(gradient + on_bounds).max(initial=0.0)) / size,
         float(max(violations.max(initial=0.0), outside.max(initial=0.0))),

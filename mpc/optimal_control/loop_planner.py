@@ -20,7 +20,7 @@ from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted, until_most_agree
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -233,10 +233,9 @@ class LoopPlanner:
         self, run: Run, program: Any, guesses: list[Array], price: float, clock: Clock
     ) -> Iterator[_Tried]:
         """Results from unknowns, as long as there is time."""
-        for v in guesses:
-            yield self._solved(run, program, v, price, warm=False)
-            if clock.late:
-                return
+        own = (v for i, v in enumerate(guesses) if not (i and clock.late))
+        tried = (self._solved(run, program, v, price, warm=False) for v in own)
+        return until_most_agree(tried, len(guesses))
 
     def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
         """Result from unknowns, with limits of states at a price.

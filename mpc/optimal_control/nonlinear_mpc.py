@@ -71,9 +71,9 @@ class NonlinearMPC(Immutable):
     most_iterations : int
         Of a solver, for one plan that goes to the optimum.
     starts : int
-        Plans that a first sample begins at, of which the best optimum is taken: that of the linear law, the state held,
-        the straight way to the reference, then inputs by chance. They are tried again where a plan that is followed
-        leads to no optimum, or to a worse one than the linear law's simulation.
+        Plans that a first sample begins at, until more than half of them have led to one optimum; the best is taken.
+        They are that of the linear law, the straight way to the reference, the state held, then inputs by chance. They
+        are tried again where a plan that is followed leads to no optimum, or to a worse one than the linear law's.
     time_limit : float, optional
         Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops by itself after as
         long; the plan is then `LATE`, and the next sample goes on from it.

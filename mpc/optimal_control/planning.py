@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.plan import Plan, Status
+from mpc.tolerances import COST_ROUNDING
 
 SHIFTED = "shifted plan"
 Path = tuple[Array, Array]  # states (N + 1, nx) and inputs (N, nu)
@@ -67,6 +68,16 @@ def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:
     pushes = None if plan.pushes is None else plan.pushes[later]
     inputs, states = np.vstack([plan.inputs[1:], u]), np.vstack([plan.states[1:], after])
     return replace(plan, inputs=inputs, states=states, costates=costates, pushes=pushes)
+
+
+def until_most_agree(tried: Iterable[Any], starts: int) -> Iterator[Any]:
+    """Results of starts, until more than half are one optimum."""
+    costs: list[float] = []
+    for one in tried:
+        yield one
+        costs.append(one.cost if one.status is Status.SOLVED else np.nan)
+        if 2 * np.count_nonzero(np.isclose(costs, costs[-1], rtol=COST_ROUNDING, atol=0.0)) > starts:
+            return
 
 
 def beginnings(first: Path, x: Array, end: Array, led_to: Callable[[Array], Path],

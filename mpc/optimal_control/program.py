@@ -109,6 +109,11 @@ class SizedProgram:
     derivatives: Derivatives
     cost_scale: float = field(default=1.0, kw_only=True)
 
+    @property
+    def limited(self) -> Numbers:
+        """Rows that have a bound."""
+        return np.flatnonzero(np.isfinite(self.row_lower) | np.isfinite(self.row_upper))
+
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram(SizedProgram):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from mpc.halfspaces import box_of
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
-from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted
+from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted, until_most_agree
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
 from mpc.optimal_control.sqp import TINY, Multipliers, Step, carried, next_step
@@ -184,7 +184,9 @@ class QuadraticPlanner:
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)
-        plans = [self._plan(sample, one) for one in (at, *self._from_starts(sample)) if one.last is not None]
+        plans = [] if at.last is None else [self._plan(sample, at)]
+        tried = (self._plan(sample, one) for one in self._from_starts(sample) if one.last is not None)
+        plans += until_most_agree(tried, self.starts)
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
         return self._plan(sample, first, Status.REPLACED) if best is None else best
@@ -255,7 +257,7 @@ class QuadraticPlanner:
                 return
 
     def _starting_paths(self, sample: _Sample) -> Iterator[_Path]:
-        """Plan to follow; linear law; state held; straight way to the reference; inputs by chance."""
+        """Plan to follow; linear law; straight way to the reference; state held; inputs by chance."""
         law = sample.first
         if law.name == SHIFTED:
             yield law
@@ -271,7 +273,8 @@ class QuadraticPlanner:
             return path.states, path.inputs
 
         others = beginnings((held.states, held.inputs), sample.x, -error, led_to, rng, (-size, size))
-        for states, inputs in islice(others, self.starts - 1):
+        first, straight = islice(others, 2)
+        for states, inputs in islice(chain((straight, first), others), self.starts - 1):
             yield replace(held, states=states, inputs=inputs)
 
     def _aside(self, path: _Path) -> _Path:

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from mpc import Status
-from mpc.optimal_control import NonlinearMPC
+from mpc.optimal_control import NonlinearMPC, Phase
+from mpc.optimal_control.ipopt import solver_of
+from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.planning import until_most_agree
+from mpc.optimal_control.solving import as_settings
 
 
 def cart_pole(x, u, p):
@@ -54,3 +58,29 @@ def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     controller(x)
     assert (controller.last_plans[0].status, controller.last_plans[0].solver) == (Status.REPLACED, "linear law")
     assert controller.last_plans[0].inputs[0] == pytest.approx(np.clip(-controller.linear.gain @ x, -10, 10))
+
+
+@pytest.mark.parametrize(
+    ("starts", "costs", "tried"),
+    [(3, [2.0, 2.0, 1.0], 2), (3, [2.0, 1.0, 2.0], 3), (3, [np.nan, np.nan, 1.0], 3), (1, [2.0], 1),
+     (5, [2.0, 2.0, 2.0, 1.0, 1.0], 3)],
+)  # fmt: skip
+def test_starts_end_where_more_than_half_are_one_optimum(starts, costs, tried):
+    ends = [SimpleNamespace(status=Status.REPLACED if np.isnan(cost) else Status.SOLVED, cost=cost) for cost in costs]
+    assert list(until_most_agree(iter(ends), starts)) == ends[:tried]
+
+
+def test_costs_without_an_optimum_do_not_agree():
+    ends = [SimpleNamespace(status=Status.SOFTENED, cost=1.0)] * 3
+    assert len(list(until_most_agree(ends, 3))) == 3
+
+
+def test_ipopt_gets_no_rows_without_a_bound():
+    phase = Phase(lambda x, u, w: x + u + w, 1, 1, duration=4, discrete=True, signal=np.ones((5, 1)),
+                  stage_cost=lambda x, u: x**2 + u**2, x_bounds=(-3, 3))  # fmt: skip
+    program = LoopPhase(phase, 4, np.zeros(0), None).program
+    solver, _ = solver_of(program, as_settings(1e-8, 100, None, None))
+    free = np.isinf(program.row_lower) & np.isinf(program.row_upper)
+    assert free.sum() >= 4  # of the signal
+    assert solver.size1_out("g") == len(free) - free.sum()
+    assert len(NonlinearMPC(phase).solve([1.0]).inputs) == 4
