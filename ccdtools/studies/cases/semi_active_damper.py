@@ -71,14 +71,14 @@ def unknown_car() -> Plant:
 
     It is linear in these, which follow the entries of the design.
     """
-    sizes = {"friction": (100.0, "N"), "asymmetry": (0.4, "-"), "hardening": (40.0, "1/m²"), "stop": (4e5, "N/m")}
+    most = {"friction": (300.0, "N"), "asymmetry": (0.9, "-"), "hardening": (150.0, "1/m²"), "stop": (6e5, "N/m")}
     plain, *others = (
         with_felt_acceleration(
-            quarter_car(semi_active=True, real=True, strut=RealStrut(**dict.fromkeys(sizes, 0.0) | one))
+            quarter_car(semi_active=True, real=True, strut=RealStrut(**dict.fromkeys(most, 0.0) | one))
         )
-        for one in ({}, *({name: size} for name, (size, _) in sizes.items()))
+        for one in ({}, *({name: size} for name, (size, _) in most.items()))
     )
-    entries, size = ca.SX.sym("entries", len(sizes)), np.array([size for size, _ in sizes.values()])
+    entries, size = ca.SX.sym("entries", len(most)), np.array([size for size, _ in most.values()])
     dynamics, outputs = (
         ca.cse(
             own(plain)
@@ -91,8 +91,8 @@ def unknown_car() -> Plant:
     )
     box = plain.design
     design = DesignSpace(
-        [*box.names, *sizes], [*box.lower, *(0 * size)], [*box.upper, *(2 * size)],
-        [*box.units, *(unit for _, unit in sizes.values())],
+        [*box.names, *most], [*box.lower, *(0 * size)], [*box.upper, *size],
+        [*box.units, *(unit for _, unit in most.values())],
     )  # fmt: skip
     return replace(plain, p=ca.vertcat(plain.p, entries), dynamics=dynamics, outputs=outputs, design=design)
 
