@@ -92,7 +92,7 @@ class Learned:
         config = CoDesignConfig() if self.config is None else self.config
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
         if self.history is not None:
-            as_count("history", self.history)
+            as_count("history", self.history, least=0)
         as_flag("from_scratch", self.from_scratch)
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
@@ -144,11 +144,11 @@ class Learned:
         before = _gradients(problem, begun, rng, SETTLING_RUNS // 2) if task.pathwise else None
         ascents = race(agents, start_designs(task, design, found), rng, progress=progress)
         result = replace(_result(ascents, given, design, found), first_policy_gradients=before)
-        if not problem.hidden:
+        if known.measurement is None:
             return result
         from ccdtools.co_design.output_filter import memory_at
 
-        return replace(result, memory=memory_at(known, result.design, self.history))
+        return replace(result, memory=memory_at(known, result.design, self.history or None))
 
     def following(self, agent: ActorCritic) -> Learned:
         """Method that goes on from an agent."""
@@ -180,6 +180,8 @@ class Learned:
         """Problem of what the policy sees."""
         if problem.measurement is None:
             return problem
+        if self.history == 0:
+            return replace(problem, measurement=None)
         from ccdtools.co_design.output_filter import measured_problem
 
         return measured_problem(problem, self.history)
@@ -219,7 +221,7 @@ def _first_agent(
 ) -> tuple[Task, ActorCritic]:  # fmt: skip
     """Task, and agent that it begins with."""
     problem = replace(known, measurement=None)
-    if known.measurement is not None and history is not None:
+    if known.measurement is not None and history:
         from ccdtools.co_design.output_history import warm_start_of_outputs
 
         return task, warm_start_of_outputs(task.problem, known, rng)

@@ -4,6 +4,9 @@ Spring and damper are the design. A sample costs the square of the acceleration 
 ISO 2631 says by a filter of second order, and those of tyre deflection and travel, beside tolerable sizes.
 """
 
+from dataclasses import replace
+from operator import attrgetter
+
 import casadi as ca
 import numpy as np
 
@@ -11,6 +14,8 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.combinations import Cases
+from ccdtools.estimation.measurement import Measurement
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library import quarter_car
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.cases._cars import by_kind, quarter_car_ride, stop
@@ -32,6 +37,8 @@ GOOD = {"tyre": 0.005, "travel": 0.05, "felt acceleration": 1.0}  # tolerable si
 def with_felt_acceleration(car: Plant) -> Plant:
     """Car with W_k of ISO 2631 as two more states.
 
+    Its outputs are the accelerations of body and wheel and the travel.
+
     References
     ----------
     Zuo and Nayfeh, "Low order continuous-time filters for approximation of the ISO 2631-1 human vibration sensitivity
@@ -42,8 +49,14 @@ def with_felt_acceleration(car: Plant) -> Plant:
     names = [*car.state_names, "felt acceleration [m/s²]", "state of the filter [m/s³]"]
     return Plant(
         ca.vertcat(car.x, f), car.u, car.w, car.p, ca.vertcat(car.dynamics, filtered), car.design, dt=car.dt,
-        state_names=names, input_names=car.input_names,
+        state_names=names, input_names=car.input_names, outputs=ca.vertcat(body, car.dynamics[1], car.x[2]),
+        output_names=["body acceleration [m/s²]", "wheel acceleration [m/s²]", "travel [m]"],
     )  # fmt: skip
+
+
+def sensors(car: Plant) -> Measurement:
+    """Accelerometers and the sensor of the travel."""
+    return Measurement(car, noise=[0.1, 0.5, 0.002])  # m/s², m/s², m
 
 
 LINEAR = RealStrut(hardening=0.0, asymmetry=0.0, stop=3e5)
@@ -51,6 +64,45 @@ NOMINAL = with_felt_acceleration(quarter_car(semi_active=True, nonlinear=True, s
 REAL = with_felt_acceleration(
     quarter_car(semi_active=True, real=True, strut=RealStrut(hardening=40.0, asymmetry=0.4, friction=100.0, stop=4e5))
 )
+
+
+def unknown_car() -> Plant:
+    """Real car of unknown friction, asymmetry, hardening and stops.
+
+    It is linear in these, which follow the entries of the design.
+    """
+    most = {"friction": (300.0, "N"), "asymmetry": (0.9, "-"), "hardening": (150.0, "1/m²"), "stop": (6e5, "N/m")}
+    plain, *others = (
+        with_felt_acceleration(
+            quarter_car(semi_active=True, real=True, strut=RealStrut(**dict.fromkeys(most, 0.0) | one))
+        )
+        for one in ({}, *({name: size} for name, (size, _) in most.items()))
+    )
+    entries, size = ca.SX.sym("entries", len(most)), np.array([size for size, _ in most.values()])
+    dynamics, outputs = (
+        ca.cse(
+            own(plain)
+            + sum(
+                entry * (_in_symbols(own(other), other, plain) - own(plain))
+                for entry, other in zip(ca.vertsplit(entries / size), others)
+            )
+        )
+        for own in (attrgetter("dynamics"), attrgetter("outputs"))
+    )
+    box = plain.design
+    design = DesignSpace(
+        [*box.names, *most], [*box.lower, *(0 * size)], [*box.upper, *size],
+        [*box.units, *(unit for _, unit in most.values())],
+    )  # fmt: skip
+    return replace(plain, p=ca.vertcat(plain.p, entries), dynamics=dynamics, outputs=outputs, design=design)
+
+
+def _in_symbols(expression: ca.SX, of: Plant, plant: Plant) -> ca.SX:
+    """Expression in another plant's symbols."""
+    own, other = (ca.vertcat(one.x, one.u, one.w, one.p) for one in (of, plant))
+    return ca.substitute(expression, own, other)
+
+
 LIMITS = np.append(by_kind(["tyre", "wheel speed", "travel", "heave rate"])[0], [20.0, 1000.0])  # m/s², m/s³
 Q = np.diag([GOOD["tyre"] ** -2, 0.0, GOOD["travel"] ** -2, 0.0, GOOD["felt acceleration"] ** -2, 0.0])
 

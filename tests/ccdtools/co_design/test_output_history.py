@@ -193,7 +193,7 @@ def test_a_policy_begins_at_lqg_and_is_handed_out_behind_its_filter():
 
 
 @pytest.mark.check
-@pytest.mark.parametrize("history", [M, None])
+@pytest.mark.parametrize("history", [M, None, 0])
 def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_the_sensor(history):
     problem = stated(lambda x, u, p, f: [x[0]])
     config = CoDesignConfig(iterations=40, starts=1, pathwise_runs=128, evaluation_runs=256)
