@@ -21,9 +21,9 @@ check: $(SETUP)        ## everything else: whole runs, notebooks, long sweeps, a
 	$(PYTEST) -m "check and not slow"
 	@$(MAKE) --no-print-directory kernels
 
-kernels: $(SETUP)      ## the numerical packages with the OpenBLAS kernels of processors without AVX; KERNELS="Sandybridge Zen" for others
+kernels: $(SETUP)      ## quick tests of the numerical packages with the OpenBLAS kernels of processors without AVX; KERNELS="Sandybridge Zen" for others
 	@for kernel in $(KERNELS); do echo "OpenBLAS kernels: $$kernel"; \
-	OPENBLAS_CORETYPE=$$kernel $(PYTEST) -m "not slow" -k "not ($(NO_ALGEBRA))" $(ALGEBRA) || exit 1; done
+	OPENBLAS_CORETYPE=$$kernel $(PYTEST) -m "not check and not slow" -k "not ($(NO_ALGEBRA))" $(ALGEBRA) || exit 1; done
 
 targets: $(SETUP)      ## the long studies: seeds 1 and 2 of every target, the whole drive with every seed
 	$(PYTEST) -m slow
