@@ -43,7 +43,7 @@ class BlackBox(Immutable):
     step_limit : float, optional
         Longest time of a call [s]. `advance` then runs in a process of its own, which may hang or die; a call costs
         about 0.1 ms more. Loading a simulator counts as its first call.
-    input_bounds : (lower, upper), each a number or (nu,)
+    input_bounds : (lower, upper), two numbers or two (nu,)
         Inputs that it takes, in which the U of a problem lies; any by default.
 
     Raises
@@ -83,8 +83,9 @@ class BlackBox(Immutable):
         if self.step_limit is not None:
             self._set(step_limit=as_positive("step_limit", self.step_limit, unit="s"))
         bounds = as_floats("input_bounds", self.input_bounds)
-        if bounds.shape not in ((2,), (2, self.nu)) or np.isnan(bounds).any():
-            raise InputError("input_bounds", shown(self.input_bounds), f"(lower, upper), each a number or ({self.nu},)")
+        if bounds.shape not in ((2,), (2, self.nu)) or not (bounds[0] <= bounds[1]).all():
+            expected = f"(lower, upper), two numbers or two ({self.nu},), lower <= upper"
+            raise InputError("input_bounds", shown(self.input_bounds), expected)
         self._set(input_bounds=frozen(bounds))
 
     def __repr__(self) -> str:

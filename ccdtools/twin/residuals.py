@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
 from ccdtools.exceptions import InputError, LimitWarning
@@ -116,7 +117,7 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False, argument: str
     e_next = x[:, 1:] - np.asarray(model.stepper(log.design, batch=1)(x[:, :-1], u, w))
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     names = log.names[:nx] or [f"x{j + 1}" for j in range(nx)]
-    warn_of_stuck(argument, x[:, :-1], u, names, lambda: e_next.std(axis=(0, 1)))
+    warn_of_stuck(argument, x[:, :-1], u, names, lambda: median_abs_deviation(e_next, axis=(0, 1), scale="normal"))
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 
 

@@ -13,15 +13,15 @@ from ccdtools.arrays import Array
 
 def warn_of_stuck(
     argument: str, signals: Array, inputs: Array, names: Sequence[str], deviations: Callable[[], Array], *,
-    level: float = 1e-6, rounding: float = 1e-12,
+    level: float = 1e-6, rounding: float = 1.2e-7,
 ) -> None:  # fmt: skip
     """Warn of signals that repeat a value more often than chance does in one of 1 / `level` logs.
 
     Gaussian noise of deviation σ, rounded to steps of q, repeats a value with probability 2 Φ(q / 2σ) − 1 at most,
     wherever the signal is. So L repeats begin at one of N samples with probability N (2 Φ(q / 2σ) − 1)^L at most; q is
-    the least difference of two values of the signal, none of a signal of one value. The change into the repeats, or out
-    of them takes the place of a larger σ: a plant without its stated noise comes to rest in small steps. Steps in which
-    nothing else changes either are not counted.
+    the least difference of two values of the signal, none of a signal of one value. The smaller of the changes into the
+    repeats and out of them, less q, takes the place of a larger σ: a plant without noise comes to rest in small steps,
+    and leaves its rest by one push. Steps in which nothing else changes either are not counted.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def warn_of_stuck(
     deviations : callable
         () → (m,) array of σ, of what a sample brings beyond all before it; asked only if a value is repeated.
     rounding : float
-        Smaller differences, in parts of the largest value, are of rounding.
+        Smaller differences, in parts of the largest value, are of rounding: recorders have single precision.
     """
     still = np.diff(np.concatenate([signals, inputs], axis=2), axis=1) == 0
     repeats = still[:, :, : signals.shape[2]] & ~still.all(axis=2, keepdims=True)
@@ -42,10 +42,9 @@ def warn_of_stuck(
         run, first, length = _longest(repeats[:, :, j])
         seen = signals[run, :, j][np.isfinite(signals[run, :, j])]
         steps = np.diff(np.unique(seen))
-        rounded = rounding * np.abs(seen).max()
-        step = max(steps.min() if len(steps) else 0.0, rounded)
+        step = max(steps.min() if len(steps) else 0.0, rounding * np.abs(seen).max())
         around = np.abs(np.diff(signals[run, max(first - 1, 0) : first + length + 2, j])[[0, -1]])
-        moves = min(sigma[j], np.fmax.reduce(around) - rounded) if around.any() else sigma[j]
+        moves = np.min([sigma[j], *(around[around > 0] - step)])
         if not moves > 0:
             continue
         chance = repeats[:, :, j].size * (2 * norm.cdf(step / (2 * moves)) - 1) ** length

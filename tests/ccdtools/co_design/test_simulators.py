@@ -276,8 +276,8 @@ def test_a_function_may_state_the_inputs_that_it_takes():
     for wide in ((-1.0, 0.5), ([-1.0, 0.0], [1.0, 0.6])):
         with pytest.raises(InputError, match=r"U: got inputs from .* which the simulator takes"):
             CoDesignProblem(box, U=wide, **stated)
-    for wrong in ([0.0, 1.0, 2.0], ([0.0], [1.0]), (0.0, np.nan)):
-        with pytest.raises(InputError, match=r"input_bounds: .* expected \(lower, upper\), each a number or \(2,\)"):
+    for wrong in ([0.0, 1.0, 2.0], ([0.0], [1.0]), (0.0, np.nan), (1.0, -1.0)):
+        with pytest.raises(InputError, match=r"input_bounds: .* expected \(lower, upper\), two numbers or two \(2,\)"):
             BlackBox(box.advance, **given, input_bounds=wrong)
 
 

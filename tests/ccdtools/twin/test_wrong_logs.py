@@ -115,6 +115,14 @@ def test_a_stuck_sensor_is_told(function):
         FUNCTIONS[function](replace(LOG, states=stuck))
 
 
+def test_a_disturbance_that_holds_its_value_between_jumps_is_no_stuck_sensor():
+    held = Plant(x, u, w, p, ca.vertcat(0.9 * x[0] + p * u + x[1], x[1] + w), PLANT.design, dt=0.1, continuous=False)
+    jumps = W * (np.random.default_rng(1).random(W.shape) < 0.02)
+    log = deploy(held, lambda state: -0.3 * state[..., :1], [2.0], jumps, x0=[1.0, 0.0])
+    assert (np.diff(log.states[..., 1]) == 0).mean() > 0.9
+    assert DigitalTwin(discretise(held)).remembering(log).logs  # a warning is an error
+
+
 @pytest.mark.parametrize("jump", [0.1, -0.15])
 def test_no_log_has_a_clock_that_jumps(jump):
     clock = 5.0 + 0.1 * np.arange(101)

@@ -52,7 +52,7 @@ def test_a_sensor_that_rounds_is_not_named_at_rest_or_in_motion_as_seldom_as_sta
 
 
 def test_a_coarse_sensor_is_named_where_its_noise_would_have_changed_it(rng):
-    rounded = np.round(rng.standard_normal((1, 2000, 2)))
+    rounded = 0.3 * np.round(rng.standard_normal((1, 2000, 2)) / 0.3)
     rounded[0, 500:560, 0] = rounded[0, 499, 0]
     assert [said.split()[1] for said in told(rounded)] == ["height"]
 
@@ -67,3 +67,13 @@ def test_where_nothing_moves_or_no_noise_is_stated_nothing_is_named(noise):
 def test_a_plant_without_noise_that_comes_to_rest_is_not_called_stuck():
     time = np.arange(600.0)
     assert told(np.stack([0.3 + 0.9**time, 0.1 + 0.93**time], axis=1)[None]) == []
+
+
+@pytest.mark.parametrize("step", [2**-9, 2**-6, 0.0])
+@pytest.mark.parametrize("push", [0.0, 1.0])
+def test_one_that_a_recorder_rounds_is_not_called_stuck_either(step, push):
+    time = np.arange(600.0)
+    signals = np.stack([0.3 + 0.9**time, 0.1 + 0.93**time], axis=1)[None]
+    signals[:, 400:] += push * (1 - 0.9 ** np.arange(1.0, 201.0))[:, None]  # after a long rest
+    rounded = np.round(signals / step) * step if step else signals.astype(np.float32).astype(float)
+    assert told(rounded) == []
