@@ -83,9 +83,8 @@ class PhaseStages:
     @cached_property
     def _free(self) -> Any:
         """Path limits of the first state alone."""
-        path = self.functions.path
-        of_inputs = [] if path is None else path.jac_sparsity(0, 1).row()
-        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~np.isin(self._path.of, of_inputs))
+        of_inputs = self.loop.of(self.part, "u")[self._path.of]
+        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~of_inputs)
 
     def states(self, states: Array, inputs: Array, given: Given) -> Array:
         """States (N + 1, nx + nw + nu) of a plan with its signals."""

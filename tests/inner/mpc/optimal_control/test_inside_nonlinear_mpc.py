@@ -46,9 +46,7 @@ def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     x = np.array([0.0, 0.3, 0.0, 0.0])
     controller(x)
     before = controller.last_plans[0]
-    monkeypatch.setattr(
-        "mpc.optimal_control.quadratic_planner.next_step", lambda *a, **k: SimpleNamespace(solved=False)
-    )  # fmt: skip
+    monkeypatch.setattr("mpc.optimal_control.paths.next_step", lambda *a, **k: SimpleNamespace(solved=False))
     u = controller(before.states[1])
     plan = controller.last_plans[0]
     assert u == pytest.approx(before.inputs[1], abs=1e-6)
