@@ -165,8 +165,7 @@ class LoopPlanner:
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
-        relaxed = plan.status is Status.SOFTENED
-        step = next_step(local, PRICE * local.force, relaxed=relaxed, times=PRICE)
+        step = next_step(local, PRICE * local.force, relaxed=plan.status is Status.SOFTENED, times=PRICE)
         if not step.solved:
             return plan
         on = step.multipliers

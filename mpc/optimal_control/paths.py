@@ -15,7 +15,6 @@ from mpc.optimal_control.sqp import Local, Multipliers, Step, next_step
 from mpc.tolerances import KKT, OPTIMAL, VIOLATION_PRICE
 
 REAL_TIME, CONVERGING = "real-time iteration", "SQP"
-Statement = Callable[[Array, Array], Local]  # at states (N + 1, nx) and inputs (N, nu)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +52,12 @@ class Path:
         return replace(self, states=states, inputs=self.inputs + self.last.inputs, multipliers=self.balanced)
 
 
-def programs(
-    at: Path, stated: Statement, clock: Clock, dear: float | None = None, times: float = 1.0
-) -> Iterator[Path]:
+def programs(at: Path, stated: Callable[[Array, Array], Local], clock: Clock, *, dear: float | None = None,
+             times: float = 1.0) -> Iterator[Path]:  # fmt: skip
     """Paths, each moved by the program at the one before, in time.
 
-    By default the price `dear`, see `next_step`, is so many times the largest slope of the cost at the first.
+    `stated` is the statement at states and inputs. For `dear` and `times` see `next_step`; by default violations are
+    priced by the largest slope of the cost at the first path.
     """
     while at.last is None or not clock.up:
         local = stated(at.states, at.inputs)

@@ -65,10 +65,9 @@ class PhaseStages:
     @cached_property
     def _give(self) -> Flags:
         """Rows (m,) that may be relaxed: those of states after the first."""
-        N, own = self.loop.horizon, self.loop.of(self.part, "x")
-        inputs, ends = N * len(self._bounds.of), len(self._end.of)
-        found = np.repeat([False, True], [inputs, (N + 1) * len(self._path.of) + ends])
-        found[inputs : len(found) - ends] = np.tile(own[self._path.of], N + 1)
+        N, own = self.loop.horizon, self.loop.of(self.part, "x")[self._path.of]
+        inputs, ends = np.zeros(N * len(self._bounds.of), dtype=bool), np.ones(len(self._end.of), dtype=bool)
+        found = np.concatenate([inputs, np.tile(own, N + 1), ends])
         found[self._free] = False
         return found
 
