@@ -151,7 +151,7 @@ class MPCProblem(Immutable):
 
     @property
     def sets(self) -> dict[str, tuple[Array, Array]]:
-        """Half-spaces (H, h) of each kind of limit, before they are tightened."""
+        """Half-spaces (H, h) by kind, not tightened."""
         return {"state": self.state_rows, "terminal": self.terminal_rows, "input": self.input_rows}
 
     @property

@@ -99,7 +99,7 @@ def pushes(problem: MPCProblem, given: Given) -> Array:
 
 
 def references(problem: MPCProblem, given: Given) -> tuple[Array, Array]:
-    """References of states (N + 1, nx) and inputs (N, nu), zero where none is given."""
+    """Reference states (N + 1, nx) and inputs (N, nu); zero without one."""
     states, inputs = (problem.signal_shapes[name] for name in ("x_ref", "u_ref"))
     return given.get("x_ref", np.zeros(states)).reshape(states), given.get("u_ref", np.zeros(inputs)).reshape(inputs)
 
