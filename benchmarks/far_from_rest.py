@@ -31,7 +31,7 @@ import numpy as np
 from bench_nonlinear_mpc import THREADS, Case, Shooting, closed_loops, ours
 from scipy.linalg import solve_discrete_are
 
-from mpc.optimal_control import quadratic_planner
+from mpc.optimal_control import paths
 from mpc.optimal_control.sqp import next_step
 
 GRAVITY = 9.81  # m/s²
@@ -180,7 +180,7 @@ class Told:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         self._programs = 0
-        quadratic_planner.next_step = self._counted
+        paths.next_step = self._counted
         u = self.controller(x)
         if isinstance(self.controller, Shooting):
             self._programs = self.controller._solver.stats()["iter_count"]

@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 
 from mpc import Status
-from mpc.optimal_control import NonlinearMPC, Phase, loop_planner
+from mpc.optimal_control import NonlinearMPC, Phase, loop_planner, paths
 from mpc.optimal_control.sqp import next_step
 
 
@@ -384,7 +384,7 @@ def loops() -> None:
         programs[-1] += step.size > 0
         return step
 
-    loop_planner.next_step = counted
+    loop_planner.next_step = paths.next_step = counted
     for name, (one, samples) in cases.items():
         reference = Reference(one)
         law, signals = law_of(one, 3)

@@ -136,20 +136,23 @@ class MPCProblem(Immutable):
     @cached_property
     def bounds(self) -> dict[str, Array]:
         """Bounds h (N + 1, rows) of each kind, tightened for W."""
-        sets = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}
         if self.W is None:
-            return {kind: np.broadcast_to(h, (self.horizon + 1, len(h))) for kind, (_, h) in sets.items()}
+            return {kind: np.broadcast_to(h, (self.horizon + 1, len(h))) for kind, (_, h) in self.sets.items()}
         loop = self.A - self.B @ self.tube_gain
-        rows = {kind: -H @ self.tube_gain if kind == "input" else H for kind, (H, _) in sets.items()}
+        rows = {kind: -H @ self.tube_gain if kind == "input" else H for kind, (H, _) in self.sets.items()}
         return {
             kind: frozen(h - tightened(rows[kind], loop, self._entry, self.W, self.horizon))
-            for kind, (_, h) in sets.items()
+            for kind, (_, h) in self.sets.items()
         }
 
     def rows_at(self, kind: str, step: int) -> tuple[Array, Array]:
         """Half-spaces of a kind of limit at a step, tightened."""
-        H = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}[kind][0]
-        return H, self.bounds[kind][step]
+        return self.sets[kind][0], self.bounds[kind][step]
+
+    @property
+    def sets(self) -> dict[str, tuple[Array, Array]]:
+        """Half-spaces (H, h) by kind, not tightened."""
+        return {"state": self.state_rows, "terminal": self.terminal_rows, "input": self.input_rows}
 
     @property
     def nx(self) -> int:
@@ -193,8 +196,8 @@ class MPCProblem(Immutable):
     @property
     def about_rest(self) -> dict[str, tuple[Array, Array]]:
         """Limits as half-spaces of deviations from the rest."""
-        sets = {"state": (self.state_rows, 0), "terminal": (self.terminal_rows, 0), "input": (self.input_rows, 1)}
-        return {kind: (H, h - H @ self.rest[place]) for kind, ((H, h), place) in sets.items()}
+        x, u = self.rest
+        return {kind: (H, h - H @ (u if kind == "input" else x)) for kind, (H, h) in self.sets.items()}
 
     def lasting_beside(self, named: Collection[str]) -> dict[str, Array]:
         """Signals in place of those that a call does not name.
@@ -232,8 +235,7 @@ class MPCProblem(Immutable):
     @property
     def limits(self) -> Limits:
         """Sets and rates, with their sizes."""
-        sets = {"state": self.state_rows, "terminal": self.terminal_rows, "input": self.input_rows}
-        return Limits(self.B, sets, self.rate_limit, self.horizon)
+        return Limits(self.B, self.sets, self.rate_limit, self.horizon)
 
     @cached_property
     def input_extent(self) -> Array:

@@ -98,6 +98,12 @@ def pushes(problem: MPCProblem, given: Given) -> Array:
     return np.asarray(disturbance(problem, given) @ problem.E.T)
 
 
+def references(problem: MPCProblem, given: Given) -> tuple[Array, Array]:
+    """Reference states (N + 1, nx) and inputs (N, nu); zero without one."""
+    states, inputs = (problem.signal_shapes[name] for name in ("x_ref", "u_ref"))
+    return given.get("x_ref", np.zeros(states)).reshape(states), given.get("u_ref", np.zeros(inputs)).reshape(inputs)
+
+
 def deviations(states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
     """Deviations of states and inputs from their references."""
     error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states

@@ -71,7 +71,6 @@ class DiscreteModel:
         self._at = Buffered(self.derivatives)
         self._by_disturbance = Buffered(ca.Function("by_disturbance", columns, [derivatives[2]], {"cse": True}))
         self._linearised = Buffered(self.derivatives.map("linearised", "serial", horizon, [3], []))
-        self._along = Buffered(step.map("along", "serial", horizon, [3], []))
         self._one = Buffered(step)
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
         self._loops: dict[int, LoopPhase] = {}
@@ -152,10 +151,6 @@ class DiscreteModel:
         matrices = [*self.derivatives(x, u, w, p)[1:], ca.jacobian(self.step(x, u, w, p), w)]
         mixed = [ca.jacobian(ca.vec(matrix), p) for matrix in matrices]
         return ca.Function("at_rest", [x, u, w, p], mixed)
-
-    def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
-        """Next states (N, nx) along states, inputs and signals."""
-        return self._along(states, inputs, w, p)[0]
 
     def next(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """Next state (nx,) at one point."""

@@ -80,11 +80,6 @@ class LoopPhase(Immutable):
         return z[:-1], z[-1]
 
     @cached_property
-    def limited(self) -> Any:
-        """States that have bounds."""
-        return np.flatnonzero(np.isfinite(self.phase.x_bounds).any(axis=0))
-
-    @cached_property
     def ending(self) -> Any:
         """States that have bounds of their own at the end."""
         end, usual = np.array(self.phase.end), np.array(self.phase.x_bounds)
@@ -179,7 +174,7 @@ class LoopPhase(Immutable):
 
     def _along_the_way(self) -> dict[str, Any]:
         """Path limits, bounds of states, and changes of inputs."""
-        phase, f, limit, own = self.phase, self.functions, self.rate_limit, self.limited.tolist()
+        phase, f, limit, own = self.phase, self.functions, self.rate_limit, self.phase.bounded.tolist()
         rates = [] if limit is None else [limit]
 
         def path(x: Any, u: Any, p: Any, t: Any) -> Any:
@@ -187,7 +182,7 @@ class LoopPhase(Immutable):
             return ca.vertcat(f.path_at(*at), *(x[i] for i in own), *(u - at[-1] for _ in rates))
 
         sides = zip(f.path_bounds, phase.x_bounds, (-1.0, 1.0))
-        bounds = [np.concatenate([a, b[self.limited], *(sign * limit for limit in rates)]) for a, b, sign in sides]
+        bounds = [np.concatenate([a, b[own], *(sign * limit for limit in rates)]) for a, b, sign in sides]
         hard = np.full((2, len(bounds[0]) - len(f.path_names)), INF)
         prices = np.hstack([f.path_prices * self.dt, hard])
         names = [*f.path_names, *(phase.state_names[i] for i in own),

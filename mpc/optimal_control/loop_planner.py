@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any
 
@@ -19,8 +19,9 @@ from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted, until_most_agree
+from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, until_most_agree
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -134,27 +135,17 @@ class LoopPlanner:
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
         """Optimum that quadratic programs lead to, or None."""
-        states, inputs, on = before.states, before.inputs, carried(before)
-        last: Step | None = None
-        local = self._local(x, given, states, inputs)
-        dear, times, nearing = PRICE * local.force, PRICE if before.status is Status.SOFTENED else 1.0, Nearing()
-        for _ in range(self.most if on is not None else 0):
-            relaxed = last is not None and last.relaxed
-            step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=on, last=last)
-            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
+        first, stated = Path(before.states, before.inputs, multipliers=carried(before)), partial(self._local, x, given)
+        if first.multipliers is None:
+            return None
+        for times in (PRICE,) if before.status is Status.SOFTENED else (1.0, PRICE):
+            path = contracted(programs(first, stated, clock, times=times), self.most)
+            if path is None or path.last is None or not path.error <= KKT:
                 return None
-            if step.error <= KKT:
-                found = self._optimum(local, step)
-                if found.violation <= KKT or times == PRICE:
-                    # from elsewhere limits may be kept
-                    return found if found.status in (Status.SOLVED, before.status) else None
-                times, nearing = PRICE, Nearing()  # the price may be too low
-            elif not nearing.by(step.error):
-                return None
-            states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
-            last, on = step, step.multipliers
-            local = self._local(x, given, states, inputs)
-        return None
+            found, first = self._optimum(path.last), path.moved
+            if found.violation <= KKT:  # else the price may be too low
+                break
+        return found if found.status in (Status.SOLVED, before.status) else None  # from elsewhere limits may be kept
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
         """Statement at a plan of a sample."""
@@ -162,20 +153,19 @@ class LoopPlanner:
         first = np.concatenate([x, along[0, len(x) :]])
         return self.stages.at(first, along, inputs, np.append(self.p, given["t"]), given["w"])
 
-    def _optimum(self, local: Local, step: Step) -> Plan:
+    def _optimum(self, step: Step) -> Plan:
         """Plan of a step that moves it no more."""
-        nx, bounds = self.loop.phase.states, self.loop.phase.u_bounds
+        local, nx, bounds = step.local, self.loop.phase.states, self.loop.phase.u_bounds
         over = np.where(local.hard, -local.room / local.rows.units, 0.0).max(initial=0.0)
         status = Status.SOLVED if over <= FEASIBLE else Status.SOFTENED
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
         return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
-                    float(over), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
+                    float(over), 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
-        relaxed = plan.status is Status.SOFTENED
-        step = next_step(local, PRICE * local.force, relaxed=relaxed, times=PRICE)
+        step = next_step(local, PRICE * local.force, relaxed=plan.status is Status.SOFTENED, times=PRICE)
         if not step.solved:
             return plan
         on = step.multipliers

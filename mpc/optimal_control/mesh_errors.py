@@ -90,7 +90,7 @@ def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
     path[:, shared:] = multipliers["rows"][part.path].reshape(N, points - shared, m)
     if shared:
         path[1:, 0] = path[:-1, -1]
-    states = np.stack(part.unknowns(multipliers["bounds"])[2]).transpose(2, 0, 1)[:, :, _bounded(phase)]
+    states = np.stack(part.unknowns(multipliers["bounds"])[2]).transpose(2, 0, 1)[:, :, phase.part.phase.bounded]
     return np.asarray(np.abs(np.concatenate([path, states], axis=2)) / (phase.duration * part.shares[:, :, None]))
 
 
@@ -132,7 +132,7 @@ def path_excess(program: NonlinearProgram, phase: PhaseSolution) -> Excess:
     """
     sizes = _sizes(program, phase)
     m, N = sizes.shape
-    bounded = _bounded(phase)
+    bounded = phase.part.phase.bounded
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
@@ -244,17 +244,11 @@ def _time(phase: PhaseSolution, places: Array) -> Array:
     return np.interp(places, np.arange(len(phase.times)), phase.times)
 
 
-def _bounded(phase: PhaseSolution) -> Any:
-    """States that have bounds."""
-    low, high = phase.part.phase.x_bounds
-    return np.flatnonzero(np.isfinite(low) | np.isfinite(high))
-
-
 def _beyond(phase: PhaseSolution, places: Array) -> Array:
     """Violation (m, n) of each limit at places (n,), counted in intervals."""
     part, scheme = phase.part, phase.part.scheme
     x, u, times = _along(phase, places)
-    own = _bounded(phase)
+    own = phase.part.phase.bounded
     low, high = (side[own, None] for side in part.phase.x_bounds)
     of_states: Array = np.maximum(x.T[own] - high, low - x.T[own])
     if part.functions.path is None:
@@ -285,7 +279,7 @@ def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> 
 
 def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
     """Sizes (m, N) of the limits of a phase."""
-    part, own, extents = phase.part, _bounded(phase), _extents(phase)
+    part, own, extents = phase.part, phase.part.phase.bounded, _extents(phase)
     scale = np.array([program.scale[part.first : part.last][part.coordinates[0] == i].max() for i in own])
     size = np.maximum(extents[own], LEAST_LIMIT_SIZE * scale)
     of_states = np.tile(size.reshape(-1, 1), (1, part.intervals))

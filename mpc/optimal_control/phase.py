@@ -176,6 +176,11 @@ class Phase:
                     raise InputError("algebraics", self.algebraics, "0 without `algebraic`, their equations")
 
     @property
+    def bounded(self) -> Any:
+        """States that have bounds."""
+        return np.flatnonzero(np.isfinite(self.x_bounds).any(axis=0))
+
+    @property
     def free_duration(self) -> bool:
         """Whether the duration is unknown."""
         return bool(self.duration[0] < self.duration[1])

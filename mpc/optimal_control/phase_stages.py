@@ -65,10 +65,9 @@ class PhaseStages:
     @cached_property
     def _give(self) -> Flags:
         """Rows (m,) that may be relaxed: those of states after the first."""
-        N, own = self.loop.horizon, self.loop.of(self.part, "x")
-        inputs, ends = N * len(self._bounds.of), len(self._end.of)
-        found = np.repeat([False, True], [inputs, (N + 1) * len(self._path.of) + ends])
-        found[inputs : len(found) - ends] = np.tile(own[self._path.of], N + 1)
+        N, own = self.loop.horizon, self.loop.of(self.part, "x")[self._path.of]
+        inputs, ends = np.zeros(N * len(self._bounds.of), dtype=bool), np.ones(len(self._end.of), dtype=bool)
+        found = np.concatenate([inputs, np.tile(own, N + 1), ends])
         found[self._free] = False
         return found
 
@@ -83,9 +82,8 @@ class PhaseStages:
     @cached_property
     def _free(self) -> Any:
         """Path limits of the first state alone."""
-        path = self.functions.path
-        of_inputs = [] if path is None else path.jac_sparsity(0, 1).row()
-        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~np.isin(self._path.of, of_inputs))
+        of_inputs = self.loop.of(self.part, "u")[self._path.of]
+        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~of_inputs)
 
     def states(self, states: Array, inputs: Array, given: Given) -> Array:
         """States (N + 1, nx + nw + nu) of a plan with its signals."""

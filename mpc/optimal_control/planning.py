@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.plan import Plan, Status
 from mpc.tolerances import COST_ROUNDING
 
 SHIFTED = "shifted plan"
-Path = tuple[Array, Array]  # states (N + 1, nx) and inputs (N, nu)
+Trajectory = tuple[Array, Array]  # states (N + 1, nx) and inputs (N, nu)
 
 
 @dataclass
@@ -45,20 +44,6 @@ class Clock:
         return replace(plan, status=status, solve_time=time.perf_counter() - self.began)
 
 
-@dataclass
-class Nearing:
-    """Whether the error is halved within `PROGRAMS_TO_GO`."""
-
-    half: float = np.inf
-    left: int = PROGRAMS_TO_GO
-
-    def by(self, error: float) -> bool:
-        """Whether one more is worth it after a program that leaves this error."""
-        nearer = error <= self.half
-        self.half, self.left = (error / 2, PROGRAMS_TO_GO) if nearer else (self.half, self.left - 1)
-        return self.left > 0
-
-
 def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:
     """Plan one sample later, with one more input and the state that it leads to.
 
@@ -80,8 +65,8 @@ def until_most_agree(tried: Iterable[Any], starts: int) -> Iterator[Any]:
             return
 
 
-def beginnings(first: Path, x: Array, end: Array, led_to: Callable[[Array], Path],
-               rng: np.random.Generator, box: tuple[Array, Array]) -> Iterator[Path]:  # fmt: skip
+def beginnings(first: Trajectory, x: Array, end: Array, led_to: Callable[[Array], Trajectory],
+               rng: np.random.Generator, box: tuple[Array, Array]) -> Iterator[Trajectory]:  # fmt: skip
     """Paths to begin at: the first; straight to `end`; where inputs of a box lead, without end."""
     yield first
     N = len(first[1])

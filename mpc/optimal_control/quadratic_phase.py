@@ -11,7 +11,7 @@ from mpc.checks import Array
 from mpc.halfspaces import box_of
 from mpc.optimal_control.phase import Phase
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, disturbance
+from mpc.rollout import Given, disturbance, references
 
 
 def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
@@ -75,9 +75,7 @@ def quadratic_columns(law: MPCProblem, x: Array, states: Array, inputs: Array,
                       given: Given) -> tuple[Array, Given, Array, Array]:  # fmt: skip
     """State, signals, states and inputs of `quadratic_phase` for those of a plan."""
     N, soft = law.horizon, priced(law)
-    w, x_ref, u_ref = disturbance(law, given), np.zeros((N + 1, law.nx)), np.zeros((N, law.nu))
-    x_ref = given["x_ref"].reshape(x_ref.shape) if "x_ref" in given else x_ref
-    u_ref = given["u_ref"].reshape(u_ref.shape) if "u_ref" in given else u_ref
+    w, (x_ref, u_ref) = disturbance(law, given), references(law, given)
     signal = np.hstack([np.vstack([w, 0 * w[:1]]), x_ref, np.vstack([u_ref, 0 * u_ref[:1]])])
     zero, last = np.zeros((N + 1, soft)), given.get("u_prev", np.zeros(law.nu))
     signals = {"w": signal, "t": np.zeros(1), "u_prev": np.append(last, np.zeros(soft))}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, islice
 from typing import Any
 
@@ -17,55 +17,29 @@ from mpc.halfspaces import box_of
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
-from mpc.optimal_control.planning import SHIFTED, Clock, Nearing, beginnings, shifted, until_most_agree
+from mpc.optimal_control.paths import CONVERGING, REAL_TIME, Path, contracted, programs
+from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, until_most_agree
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
-from mpc.optimal_control.sqp import TINY, Multipliers, Step, carried, next_step
+from mpc.optimal_control.sqp import TINY, carried
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import (
     Given,
     admissible,
     cost_of,
-    deviations,
     disturbance,
     finite,
     for_each_state,
+    references,
     relative_violations,
     spread_signals,
     violation_of,
 )
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, OPTIMAL, VIOLATION_PRICE
 
-LINEAR_LAW, REAL_TIME, CONVERGING, INTERIOR = "linear law", "real-time iteration", "SQP", "Ipopt"
+LINEAR_LAW, INTERIOR = "linear law", "Ipopt"
 OPTIMA = (Status.SOLVED, Status.SOFTENED)
-
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """Path with its gains (N, nu, nx) and the program that made it."""
-
-    states: Array
-    inputs: Array
-    gains: Array
-    name: str
-    last: Step | None = None
-    multipliers: Multipliers | None = None  # for the Hessian of the program there
-
-    @property
-    def error(self) -> float:
-        """Larger of gaps and stationarity, infinite without a program."""
-        return np.inf if self.last is None else self.last.error
-
-    @property
-    def balanced(self) -> Multipliers | None:
-        """Multipliers after its program; a real-time iteration has no use for them."""
-        return None if self.last is None or self.name == REAL_TIME else self.last.multipliers
-
-    @property
-    def solved(self) -> bool:
-        """Whether the optimality conditions hold."""
-        return self.error <= OPTIMAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +48,7 @@ class _Sample:
 
     x: Array
     given: Given
-    first: _Path
+    first: Path
     size: float  # of the cost
     dear: float
     clock: Clock
@@ -139,9 +113,9 @@ class QuadraticPlanner:
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, given)
-                known = [first, _held(first, given)]
+                known = [first, self._held(first, given)]
             else:
-                first = _Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=carried(before))
+                first = Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=carried(before))
                 known = [first]
             size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
             sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
@@ -153,10 +127,9 @@ class QuadraticPlanner:
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the linear law's last input."""
-        error, effort = deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
-        end = plan.states[-1]
+        end, (x_ref, u_ref) = plan.states[-1], references(self.law, given)
         with np.errstate(over="ignore", invalid="ignore"):  # of a model that escaped
-            wanted = finite(-effort[-1] - self._gains[-1] @ (end + error[-1]))
+            wanted = finite(u_ref[-1] - self._gains[-1] @ (end - x_ref[-1]))
         u = self._admissible(wanted, plan.inputs[-1])
         later = self.stages.rows.later
         return shifted(plan, u, finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p)), later)
@@ -171,7 +144,7 @@ class QuadraticPlanner:
                 return self._plan(sample, first, Status.REPLACED)
             cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
-            found = self._plan(sample, _moved(done[-1]), status)
+            found = self._plan(sample, done[-1].moved, status)
             if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
                 return found
         at = self._contracted(sample, replace(first, name=CONVERGING))
@@ -191,7 +164,7 @@ class QuadraticPlanner:
                    default=None)  # fmt: skip
         return self._plan(sample, first, Status.REPLACED) if best is None else best
 
-    def _plan(self, sample: _Sample, at: _Path, otherwise: Status = Status.INACCURATE) -> Plan:
+    def _plan(self, sample: _Sample, at: Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
         path = self._followed(sample.x, at, sample.given)
         cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
@@ -206,7 +179,7 @@ class QuadraticPlanner:
         on = at.balanced
         return found if on is None else replace(found, costates=on.costates, pushes=on.pushes)
 
-    def _kept(self, path: _Path, at: _Path, cost: float, given: Given) -> bool:
+    def _kept(self, path: Path, at: Path, cost: float, given: Given) -> bool:
         """Whether the model itself goes along a path, or costs as much where it does not."""
         sizes = self.stages.sizes
         apart = ((path.states - at.states) / sizes[0], (path.inputs - at.inputs) / sizes[1])
@@ -214,33 +187,17 @@ class QuadraticPlanner:
             return True
         return abs(cost_of(self.law, at.inputs, at.states, given) - cost) <= OPTIMAL * abs(cost)
 
-    def _contracted(self, sample: _Sample, at: _Path) -> _Path:
-        """Best path by quadratic programs with full steps, with the program there.
+    def _contracted(self, sample: _Sample, at: Path) -> Path:
+        """Best path by programs from another."""
+        first = replace(at, last=None)
+        return contracted(self._programs(sample, first), self.most) or first
 
-        They end at the optimum, or where they come no nearer.
-        """
-        best = replace(at, last=None)
-        nearing = Nearing()
-        for one in islice(self._programs(sample, best), self.most):
-            if best.last is None or one.error < best.error:
-                best = one
-            if one.error <= KKT or not nearing.by(one.error):
-                break
-        return best
+    def _programs(self, sample: _Sample, at: Path) -> Iterator[Path]:
+        """Paths of a sample, each moved by the program at the one before."""
+        stated = partial(self.stages.at, sample.x, given=sample.given)
+        return programs(at, stated, sample.clock, dear=sample.dear)
 
-    def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
-        """Paths, each moved by the program at the one before, in time."""
-        while at.last is None or not sample.clock.up:
-            relaxed = at.last is not None and at.last.relaxed
-            local = self.stages.at(sample.x, at.states, at.inputs, sample.given)
-            step = next_step(local, sample.dear, relaxed=relaxed, multipliers=at.multipliers, last=at.last)
-            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
-                return
-            at = replace(at, gains=step.gains, last=step)
-            yield at
-            at = _moved(at)
-
-    def _from_starts(self, sample: _Sample) -> Iterator[_Path]:
+    def _from_starts(self, sample: _Sample) -> Iterator[Path]:
         """Paths that Ipopt comes to from the starts; one where a plan leads to it."""
         general = self._general(self.law.soft or (sample.dear, sample.dear))
         for path in self._starting_paths(sample):
@@ -256,39 +213,39 @@ class QuadraticPlanner:
             if path.name == SHIFTED and at.solved:
                 return
 
-    def _starting_paths(self, sample: _Sample) -> Iterator[_Path]:
+    def _starting_paths(self, sample: _Sample) -> Iterator[Path]:
         """Plan to follow; linear law; straight way to the reference; state held; inputs by chance."""
         law = sample.first
         if law.name == SHIFTED:
             yield law
             law = self._linear_law(sample.x, sample.given)
         yield law
-        held, size, rng = _held(law, sample.given), self.stages.sizes[1], np.random.default_rng(0)
-        error, _ = deviations(np.zeros_like(held.states), held.inputs, sample.given)
-        free = replace(held, gains=np.zeros_like(held.gains))
+        held, size, rng = self._held(law, sample.given), self.stages.sizes[1], np.random.default_rng(0)
+        end, _ = references(self.law, sample.given)
+        free = replace(held, gains=None)
 
         def led_to(moves: Array) -> tuple[Array, Array]:
             """Admissible inputs by chance about the reference, and their states."""
             path = self._followed(sample.x, replace(free, inputs=held.inputs + moves), sample.given)
             return path.states, path.inputs
 
-        others = beginnings((held.states, held.inputs), sample.x, -error, led_to, rng, (-size, size))
+        others = beginnings((held.states, held.inputs), sample.x, end, led_to, rng, (-size, size))
         first, straight = islice(others, 2)
         for states, inputs in islice(chain((straight, first), others), self.starts - 1):
             yield replace(held, states=states, inputs=inputs)
 
-    def _aside(self, path: _Path) -> _Path:
+    def _aside(self, path: Path) -> Path:
         """Path with inputs that break its symmetries, the same every time."""
         moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, path.inputs.shape)
         return replace(path, inputs=path.inputs + moves * self.stages.sizes[1])
 
-    def _law_does_better(self, sample: _Sample, at: _Path) -> bool:
+    def _law_does_better(self, sample: _Sample, at: Path) -> bool:
         """Whether the linear law, simulated, costs less than a plan."""
         law = self._total(self._linear_law(sample.x, sample.given), sample.given, sample.dear)
         own = self._total(at, sample.given, sample.dear)
         return law < own - COST_ROUNDING * abs(own) - rounding_of_cost(self.law, sample.given)
 
-    def _total(self, path: _Path | Plan, given: Given, price: float) -> float:
+    def _total(self, path: Path | Plan, given: Given, price: float) -> float:
         """Cost with violations of hard limits at a price; infinite where it is no number."""
         total = path.cost if isinstance(path, Plan) else cost_of(self.law, path.inputs, path.states, given)
         if self.law.soft is None:
@@ -296,24 +253,28 @@ class QuadraticPlanner:
             total += price * float(over[over > FEASIBLE].sum())
         return total if np.isfinite(total) else np.inf
 
-    def _linear_law(self, x: Array, given: Given) -> _Path:
+    def _linear_law(self, x: Array, given: Given) -> Path:
         """Path of the model under the linear law."""
-        states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
-        error, effort = deviations(states, inputs, given)
-        return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), given)
+        return self._followed(x, Path(*references(self.law, given), self._gains, LINEAR_LAW), given)
 
-    def _followed(self, x: Array, path: _Path, given: Given) -> _Path:
+    def _held(self, path: Path, given: Given) -> Path:
+        """Path that stays where another begins, inputs at their reference."""
+        _, inputs = references(self.law, given)
+        return replace(path, states=np.tile(path.states[0], (len(path.states), 1)), inputs=inputs)
+
+    def _followed(self, x: Array, path: Path, given: Given) -> Path:
         """Path on the model itself from x, within input limits; finite."""
         N = self.law.horizon
         last = given.get("u_prev", np.zeros(self.law.nu))
         w = disturbance(self.law, given)
+        gains = np.zeros_like(self._gains) if path.gains is None else path.gains
         if self._limits is not None:
-            states, inputs = self.model.followed(x, last, path.states, path.inputs, path.gains, self._limits, w, self.p)
+            states, inputs = self.model.followed(x, last, path.states, path.inputs, gains, self._limits, w, self.p)
         else:
             states, inputs = np.empty((N + 1, self.law.nx)), np.empty((N, self.law.nu))
             states[0] = x
             for k in range(N):
-                wanted = path.inputs[k] - path.gains[k] @ (states[k] - path.states[k])
+                wanted = path.inputs[k] - gains[k] @ (states[k] - path.states[k])
                 inputs[k] = self._admissible(wanted, inputs[k - 1] if k else last)
                 states[k + 1] = finite(self.model.next(states[k], inputs[k], w[k], self.p))
         return replace(path, states=finite(states), inputs=finite(inputs))
@@ -333,27 +294,13 @@ class QuadraticPlanner:
         first, given = sample.first, sample.given
         plans = [found, self._plan(sample, first, Status.REPLACED)]
         if found.solver != REAL_TIME:  # far from rest the gains at rest may do harm
-            plans.append(self._plan(sample, replace(first, gains=np.zeros_like(first.gains)), Status.REPLACED))
+            plans.append(self._plan(sample, replace(first, gains=None), Status.REPLACED))
         if first.name != LINEAR_LAW and not np.isfinite(self._total(plans[1], given, 1.0)):
             plans.append(self._plan(sample, self._linear_law(sample.x, given), Status.REPLACED))
         price = VIOLATION_PRICE * max((plan.cost for plan in plans[1:] if np.isfinite(plan.cost)), default=1.0)
         total = [self._total(plan, given, price) for plan in plans]
         total[0] /= 2.0 if found.solver == REAL_TIME else 1.0
         return plans[int(np.argmin(total))]
-
-
-def _held(path: _Path, given: Given) -> _Path:
-    """Path that stays where another begins, inputs at their reference."""
-    _, effort = deviations(path.states, np.zeros_like(path.inputs), given)
-    return replace(path, states=np.tile(path.states[0], (len(path.states), 1)), inputs=-effort)
-
-
-def _moved(path: _Path) -> _Path:
-    """Path after the step of its program."""
-    step = path.last
-    if step is None:
-        return path
-    return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, multipliers=path.balanced)
 
 
 def gain_at_rest(law: MPCProblem) -> Array:

@@ -15,7 +15,7 @@ from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.sqp import Local, Multipliers, Rows, both, convex
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, cost_of, deviations, disturbance
+from mpc.rollout import Given, cost_of, deviations, disturbance, references
 from mpc.tolerances import COST_ROUNDING
 
 
@@ -126,6 +126,5 @@ def weights_along(N: int, Q: Array, R: Array, S: Array, P: Array) -> Array:
 
 def rounding_of_cost(problem: MPCProblem, given: Given) -> float:
     """Cost of states and inputs at their references but for rounding."""
-    nothing = np.zeros((problem.horizon + 1, problem.nx)), np.zeros((problem.horizon, problem.nu))
-    error, effort = deviations(*nothing, given)
-    return COST_ROUNDING**2 * cost_of(problem, effort, error, {})
+    states, inputs = references(problem, given)
+    return COST_ROUNDING**2 * cost_of(problem, inputs, states, {})

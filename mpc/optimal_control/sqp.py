@@ -151,6 +151,7 @@ class Local:
 class Step:
     """Result of one quadratic program for a plan."""
 
+    local: Local  # at the plan
     # by what it moves the plan: (N + 1, nx) and (N, nu)
     states: Array
     inputs: Array
@@ -256,7 +257,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     twice as many, until it passes none: its dense part grows with the limits that act, all else with the horizon.
     """
     none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
-    failed = Step(local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
+    failed = Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
     if not all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input)):
         return failed
     hessian = None
@@ -278,7 +279,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     gain = -float(program.gradient @ z + 0.5 * z @ curvature)
     stationarity = program.unrest(curvature, balance, change, gain)
     size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
-    found = moves, change, program.along[2], size, local.defects, stationarity
+    found = local, moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
     return Step(*found, relaxed, solved, newton is not None, program, balanced)
 
@@ -324,7 +325,8 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
         unbalanced = largest(np.where(over > 0, np.minimum(np.abs(apart), over), np.maximum(apart, 0.0)))
     left = np.maximum(np.minimum(room, force / strongest), -room)
     return replace(
-        last, states=none[0], inputs=none[1], size=0.0, defects=max(local.defects, left.max(initial=0.0), unbalanced),
+        last, local=local, states=none[0], inputs=none[1], size=0.0,
+        defects=max(local.defects, left.max(initial=0.0), unbalanced),
         stationarity=program.unrest(gradient, balance, change, 0.5 * float((y * y).sum())),
         _balanced=lambda: multipliers,
     )  # fmt: skip

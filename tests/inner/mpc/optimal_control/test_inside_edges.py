@@ -7,7 +7,8 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from mpc.optimal_control import Radau, refinement
-from mpc.optimal_control.quadratic_planner import QuadraticPlanner, _Path
+from mpc.optimal_control.paths import Path
+from mpc.optimal_control.quadratic_planner import QuadraticPlanner
 from mpc.optimal_control.refinement import _finer_mesh, _Rounds
 from mpc.optimal_control.solution_sensitivity import _acting, _once_each
 
@@ -77,7 +78,7 @@ def test_a_violation_costs_a_hundred_times_what_the_other_plan_does(violation, c
         _plan=lambda sample, path, status: SimpleNamespace(solver="other", cost=2.0, over=0.0),
         _total=lambda plan, given, price: plan.cost + price * plan.over,
     )
-    sample = SimpleNamespace(first=_Path(np.zeros((2, 1)), np.zeros((1, 1)), np.zeros((1, 1, 1)), "path"), given={})
+    sample = SimpleNamespace(first=Path(np.zeros((2, 1)), np.zeros((1, 1))), given={})
     assert QuadraticPlanner._best(planner, sample, found).solver == chosen
 
 

@@ -10,6 +10,7 @@ from mpc import Status
 from mpc.optimal_control import NonlinearMPC, Phase
 from mpc.optimal_control.ipopt import solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.paths import contracted
 from mpc.optimal_control.planning import until_most_agree
 from mpc.optimal_control.solving import as_settings
 
@@ -46,9 +47,7 @@ def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     x = np.array([0.0, 0.3, 0.0, 0.0])
     controller(x)
     before = controller.last_plans[0]
-    monkeypatch.setattr(
-        "mpc.optimal_control.quadratic_planner.next_step", lambda *a, **k: SimpleNamespace(solved=False)
-    )  # fmt: skip
+    monkeypatch.setattr("mpc.optimal_control.paths.next_step", lambda *a, **k: SimpleNamespace(solved=False))
     u = controller(before.states[1])
     plan = controller.last_plans[0]
     assert u == pytest.approx(before.inputs[1], abs=1e-6)
@@ -73,6 +72,19 @@ def test_starts_end_where_more_than_half_are_one_optimum(starts, costs, tried):
 def test_costs_without_an_optimum_do_not_agree():
     ends = [SimpleNamespace(status=Status.SOFTENED, cost=1.0)] * 3
     assert len(list(until_most_agree(ends, 3))) == 3
+
+
+@pytest.mark.parametrize(
+    ("errors", "taken", "best"),
+    [([0.5**i for i in range(20)], 20, 19), ([1.0, *[0.6] * 20], 9, 1), ([1.0, *[0.6] * 7, 0.4, *[0.3] * 20], 17, 9),
+     ([1.0, 1e-12, 1.0], 2, 1), ([np.nan] * 20, 8, 0)],
+)  # fmt: skip
+def test_paths_go_on_while_their_error_is_halved_within_eight_and_the_best_is_taken(errors, taken, best):
+    paths = [SimpleNamespace(error=error) for error in errors]
+    left = iter(paths)
+    assert contracted(left, 50) is paths[best]
+    assert len(list(left)) == len(paths) - taken
+    assert contracted(iter(paths), 0) is None
 
 
 def test_ipopt_gets_no_rows_without_a_bound():
