@@ -207,7 +207,7 @@ def fit_plant(
 ) -> PlantFit:  # fmt: skip
     """Likeliest parameters of a plant, by logged outputs or states.
 
-    With sensors prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so
+    With sensors prediction errors are the innovations of a cubature Kalman filter at each value of the parameters, so
     inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the errors of one step,
     less the part of the last one that a fitted correlation carries on; each state's are weighed by their size.
     Without a `plant` a change of the nominal model is fitted that enters where w does: w + Θx x + Θu u + θ in its
@@ -456,7 +456,8 @@ def _innovations(
     unstated = mean - problem.mean_disturbance
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
-    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
+    rounding = NEGLIGIBLE * problem.state_scale
+    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled, rounding)
 
 
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
