@@ -51,7 +51,7 @@ class Innovations:
     @cached_property
     def _sample(self) -> ca.Function:
         """Belief, θ, data → next belief, innovations, variances."""
-        x, before, w, p = (ca.MX.sym(name, self.step.size1_in(i)) for i, name in enumerate("xuwp"))
+        x, before, p = (ca.MX.sym(name, self.step.size1_in(i)) for name, i in (("x", 0), ("before", 1), ("p", 3)))
         nx, ny = x.numel(), self.output.size1_out(0)
         theta = ca.MX.sym("theta", p.numel() + 2 * self.scaled)
         P, u, row = ca.MX.sym("P", nx, nx), ca.MX.sym("u", before.numel()), ca.MX.sym("row", ny * (1 + ny))
