@@ -72,13 +72,10 @@ class Innovations:
         variances, axes = np.linalg.eigh(W)
         by_w = ca.DM(axes * np.sqrt(np.maximum(variances, 0))) * ca.sqrt(factors[0])
         both = ca.vertcat(known[:nx], ca.DM(mean))
-        after, _, of_next = _spread(
-            lambda z: self.step(z[:nx, :], u, z[nx:, :], p), both, ca.diagcat(root(spread[:nx, :nx]), by_w)
-        )
-        innovations, variances = (ca.vertcat(*part) for part in zip(*told))
-        return ca.Function(
-            "sample", [x, P, theta, before, u, row], [after, of_next @ of_next.T, innovations, variances]
-        )  # fmt: skip
+        roots = ca.diagcat(root(spread[:nx, :nx]), by_w)
+        after, _, of_next = _spread(lambda z: self.step(z[:nx, :], u, z[nx:, :], p), both, roots)
+        results = [after, of_next @ of_next.T, *(ca.vertcat(*part) for part in zip(*told))]
+        return ca.Function("sample", [x, P, theta, before, u, row], results)
 
     @cached_property
     def _carried(self) -> ca.Function:

@@ -185,8 +185,7 @@ def fitted_generations(
         told = _by_logs(problem, found, updated)
         deployed: Any = before
         if told is not None or again is not None:
-            seed = int(rng.integers(2**31))
-            deployed, gain, update = on.trial(before, told, again, seed, proven=not _doubtful(fit))
+            deployed, gain, update = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
         found.append(logged(deployed, fit, predicted, gain, deployed is again, update))
     return tuple(found)
 
@@ -215,13 +214,9 @@ class _Deployments:
         return paired_difference(*(run.returns(self.problem.objective)[kept] for run in (after, before)))
 
     def trial(
-        self, before: Any, told: Any, again: Any, seed: int, proven: bool
+        self, before: Any, told: Any, again: Any, seed: int, doubtful: bool
     ) -> tuple[Any, PairedDifference | None, PairedDifference | None]:
-        """What is deployed next, and the gains of a redesign that was tried and of an update that is deployed.
-
-        An update, and a redesign for a plant that is not proven, is deployed if it is better beyond chance and breaks
-        no limit; another redesign unless it is worse.
-        """
+        """What is deployed next, and the gains of a redesign that was tried and of an update that is deployed."""
         scenario = self.scenario(max(REAL_RUNS * self.problem.steps // self.real.steps, 2), seed)
         deployed, gain, update = before, None, None
         old = best = self.run(before, scenario)
@@ -232,12 +227,12 @@ class _Deployments:
             kept = not beyond_chance or violation(self.problem, scenario, run, old, self.problem.model) is None
             return (low > 0 if beyond_chance else not high < 0) and run.diverged.sum() <= best.diverged.sum() and kept
 
-        if told is not None and better(run := self.run(told, scenario), True):
+        if told is not None and better(run := self.run(told, scenario), beyond_chance=True):
             deployed, best, update = told, run, self.gain(run, old)
         if again is not None:
             run = self.run(again, scenario)
             gain = self.gain(run, old)
-            if better(run, not proven):
+            if better(run, beyond_chance=doubtful):
                 deployed, update = again, None
         return deployed, gain, update
 
