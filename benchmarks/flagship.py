@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from ccdtools import Scenario
-from ccdtools.controllers.learned import load_policy
+from ccdtools.controllers.history import load_policy
 from ccdtools.figure_style import styled
 from ccdtools.studies import load_study
 from ccdtools.studies.cases.semi_active_damper import REAL

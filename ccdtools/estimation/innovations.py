@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,7 +16,10 @@ from ccdtools.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of an extended Kalman filter, by parameters θ (m,).
+    """Innovations of a cubature Kalman filter, by parameters θ (m,).
+
+    An extended one, whose slope is that at its estimate, mistakes what bends within its uncertainty, such as dry
+    friction, for noise that lasts.
 
     Attributes
     ----------
@@ -27,6 +31,12 @@ class Innovations:
         Outputs as rows of `whitened`, and what was applied.
     scaled : bool
         Whether θ ends with logarithms of two factors: of the covariances of w, and of the outputs' noise.
+    rounding : (nx,) array
+        Least deviation of x that the filter takes for known.
+
+    References
+    ----------
+    Arasaratnam and Haykin, "Cubature Kalman filters", IEEE Transactions on Automatic Control 54, 2009.
     """
 
     step: ca.Function
@@ -36,33 +46,36 @@ class Innovations:
     rows: Array
     inputs: Array
     scaled: bool
+    rounding: Array
 
     @cached_property
     def _sample(self) -> ca.Function:
         """Belief, θ, data → next belief, innovations, variances."""
-        x, u, w, p = (ca.MX.sym(name, self.step.size1_in(i)) for i, name in enumerate("xuwp"))
-        after, y = self.step(x, u, w, p), self.output(x, u, p)
-        moved = ca.Function("moved", [x, u, w, p], [after, ca.jacobian(after, x), ca.jacobian(after, w)])
-        seen = ca.Function("seen", [x, u, p], [y, ca.jacobian(y, x)])
-        nx, ny = x.numel(), y.numel()
+        x, before, p = (ca.MX.sym(name, self.step.size1_in(i)) for name, i in (("x", 0), ("before", 1), ("p", 3)))
+        nx, ny = x.numel(), self.output.size1_out(0)
         theta = ca.MX.sym("theta", p.numel() + 2 * self.scaled)
-        P, before, row = ca.MX.sym("P", nx, nx), ca.MX.sym("before", u.numel()), ca.MX.sym("row", ny * (1 + ny))
+        P, u, row = ca.MX.sym("P", nx, nx), ca.MX.sym("u", before.numel()), ca.MX.sym("row", ny * (1 + ny))
         p, factors = theta[: p.numel()], ca.exp(theta[p.numel() :]) if self.scaled else ca.DM.ones(2)
-        white, (y, H) = ca.reshape(row[ny:], ny, ny), seen(x, before, p)
-        missed, H = white @ (row[:ny] - y), white @ H
-        now, spread, told = x, P, []
-        for i in range(ny):  # outputs of independent noise, one by one
-            h = H[i, :].T
-            noise = ca.if_else(ca.sumsqr(white[i, :]) > 0, factors[1], 1.0)  # nothing is told by one that was missed
-            told.append((missed[i] - h.T @ (now - x), h.T @ spread @ h + noise))
-            gain = spread @ h / told[-1][1]
-            rest = ca.DM.eye(nx) - gain @ h.T
-            now, spread = now + gain * told[-1][0], rest @ spread @ rest.T + gain @ gain.T * noise
-        mean, W = (ca.DM(part) for part in self.disturbance)
-        after, F, E = moved(now, u, mean, p)
-        after_P = F @ spread @ F.T + E @ (W * factors[0]) @ E.T
-        innovations, variances = (ca.vertcat(*part) for part in zip(*told))
-        return ca.Function("sample", [x, P, theta, before, u, row], [after, after_P, innovations, variances])
+        square = ca.SX.sym("square", nx, nx)
+        root = ca.Function("root", [square], [ca.chol(square + ca.diag(self.rounding**2)).T])
+        white = ca.reshape(row[ny:], ny, ny)
+        y, of_x, of_y = _spread(lambda z: self.output(z, before, p), x, root(P))
+        away = ca.vertcat(of_x, white @ of_y)
+        noise = ca.if_else(ca.sum2(white**2) > 0, factors[1], 1.0)  # nothing is told by one that was missed
+        known, told = ca.vertcat(x, white @ (y - row[:ny])), []
+        spread = away @ away.T + ca.diag(ca.vertcat(ca.DM.zeros(nx), noise))
+        for i in range(nx, nx + ny):  # what an output misses becomes 0, one by one
+            told.append((-known[i], spread[i, i]))
+            gain = spread[:, i] / spread[i, i]
+            known, spread = known - gain * known[i], spread - gain @ spread[i, :]
+        mean, W = self.disturbance
+        variances, axes = np.linalg.eigh(W)
+        by_w = ca.DM(axes * np.sqrt(np.maximum(variances, 0))) * ca.sqrt(factors[0])
+        both = ca.vertcat(known[:nx], ca.DM(mean))
+        roots = ca.diagcat(root(spread[:nx, :nx]), by_w)
+        after, _, of_next = _spread(lambda z: self.step(z[:nx, :], u, z[nx:, :], p), both, roots)
+        results = [after, of_next @ of_next.T, *(ca.vertcat(*part) for part in zip(*told))]
+        return ca.Function("sample", [x, P, theta, before, u, row], results)
 
     @cached_property
     def _carried(self) -> ca.Function:
@@ -102,3 +115,12 @@ class Innovations:
         r, s, *_ = self.at(theta)
         n, steps = self.inputs.shape[:2]
         return np.asarray((r / np.sqrt(s)).reshape(-1, steps, n).transpose(2, 1, 0))
+
+
+def _spread(function: Callable[[Any], Any], mean: Any, root: Any) -> tuple[Any, Any, Any]:
+    """Mean of a function of x, and deviations of x and of it, whose squares are covariances, by cubature points."""
+    n = root.shape[0]
+    away = n**0.5 * ca.horzcat(root, -root)
+    values = function(mean + away)
+    middle = ca.sum2(values) / (2 * n)
+    return middle, away / (2 * n) ** 0.5, (values - middle) / (2 * n) ** 0.5

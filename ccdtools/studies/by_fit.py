@@ -13,7 +13,9 @@ from scipy.stats import t
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import as_method, codesign
+from ccdtools.co_design.output_filter import estimator_at
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.controllers.observed import Observed
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.scenario import Scenario
@@ -59,7 +61,8 @@ class FittedGeneration:
     accepted : bool
         Whether its design is in service for the first time.
     update : PairedDifference or None
-        Measured gain of LQR by the logs at the former design, where that is what is deployed.
+        Measured gain at the former design of LQR by the logs, or of the former law behind the filter of the plant that
+        they tell where the problem has sensors; where that is what is deployed.
     agent : ActorCritic or None
         Networks of a learned policy.
     """
@@ -85,12 +88,12 @@ class FittedGeneration:
         if self.fit is None:
             return ". ".join([f"first design {np.round(self.design, 4)}", *lost])
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
-        said = f"redesign {place}"
-        if isinstance(self.fit, PlantFit) and self.predicted is None:
-            said = f"no redesign: {self.fit.advice}"
-        words = {"predicted": self.predicted, "measured": self.gain, "LQR by the logs measured": self.update}
+        said = f"redesign {place}" if self.predicted else "no redesign"
+        update = "LQR by the logs measured" if self.log.outputs is None else "filter of the fit measured"
+        words = {"predicted": self.predicted, "measured": self.gain, update: self.update}
         gains = [f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for name, one in words.items() if one]
-        return ". ".join([", ".join([said, *gains]), *lost])
+        told = [self.fit.advice] if isinstance(self.fit, PlantFit) and _doubtful(self.fit) else []
+        return ". ".join([", ".join([said, *gains]), *told, *lost])
 
 
 def fitted_generations(
@@ -105,8 +108,9 @@ def fitted_generations(
     squares (`identified_change`), is designed for again, a learned policy from the one in service on. The redesign is
     tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it is worse
     there beyond chance, or loses more runs: than what was deployed before, and than an update of it. Where states are
-    logged that is LQR of the affine model that they tell at the former design (`identified_lqr`), if it is better there
-    beyond chance and breaks no limit.
+    logged that is LQR of the affine model that they tell at the former design (`identified_lqr`), where outputs are the
+    former law behind the filter of the plant that they tell, if it is better there beyond chance and breaks no limit. A
+    redesign for a fit that is LASTING or OPEN must be so, too.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
@@ -171,16 +175,17 @@ def fitted_generations(
         else:
             fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
         again: Any = None
-        predicted = gain = update = None
-        if not isinstance(fit, PlantFit) or fit.status in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+        predicted = gain = update = updated = None
+        if not isinstance(fit, PlantFit) or fit.status is not FitStatus.UNSOLVED:
+            updated = fit.likeliest(problem) if isinstance(fit, PlantFit) else fit.updated(problem)
             going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
-            again = codesign(fit.updated(problem), method=going_on, design=before.design, rng=rng)
-            predicted = _predicted(problem, fit, again, before, draws, rng)
+            again = codesign(updated, method=going_on, design=before.design, rng=rng)
+            predicted = _predicted(problem, fit, updated, again, before, draws, rng)
             again = again if predicted.ci95[0] > 0 else None
-        told = _by_logs(problem, found)
+        told = _by_logs(problem, found, updated)
         deployed: Any = before
         if told is not None or again is not None:
-            deployed, gain, update = on.trial(before, told, again, int(rng.integers(2**31)))
+            deployed, gain, update = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
         found.append(logged(deployed, fit, predicted, gain, deployed is again, update))
     return tuple(found)
 
@@ -209,29 +214,42 @@ class _Deployments:
         return paired_difference(*(run.returns(self.problem.objective)[kept] for run in (after, before)))
 
     def trial(
-        self, before: Any, told: Any, again: Any, seed: int
+        self, before: Any, told: Any, again: Any, seed: int, doubtful: bool
     ) -> tuple[Any, PairedDifference | None, PairedDifference | None]:
         """What is deployed next, and the gains of a redesign that was tried and of an update that is deployed."""
         scenario = self.scenario(max(REAL_RUNS * self.problem.steps // self.real.steps, 2), seed)
         deployed, gain, update = before, None, None
         old = best = self.run(before, scenario)
-        if told is not None:
-            run = self.run(told, scenario)
-            more = self.gain(run, old)
-            kept = violation(self.problem, scenario, run, old, self.problem.model) is None
-            if more.ci95[0] > 0 and run.diverged.sum() <= old.diverged.sum() and kept:
-                deployed, best, update = told, run, more
+
+        def better(run: Trajectory, beyond_chance: bool) -> bool:
+            """Whether a run goes before the best so far."""
+            low, high = self.gain(run, best).ci95
+            kept = not beyond_chance or violation(self.problem, scenario, run, old, self.problem.model) is None
+            return (low > 0 if beyond_chance else not high < 0) and run.diverged.sum() <= best.diverged.sum() and kept
+
+        if told is not None and better(run := self.run(told, scenario), beyond_chance=True):
+            deployed, best, update = told, run, self.gain(run, old)
         if again is not None:
             run = self.run(again, scenario)
             gain = self.gain(run, old)
-            if not self.gain(run, best).ci95[1] < 0 and run.diverged.sum() <= best.diverged.sum():
+            if better(run, beyond_chance=doubtful):
                 deployed, update = again, None
         return deployed, gain, update
 
 
-def _by_logs(problem: CoDesignProblem, found: list[FittedGeneration]) -> FittedGeneration | None:
-    """What is deployed, with LQR by the logs at its design; None where outputs are logged, or there is no such LQR."""
+def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:
+    """Whether a fit may mistake something."""
+    return isinstance(fit, PlantFit) and fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND)
+
+
+def _by_logs(
+    problem: CoDesignProblem, found: list[FittedGeneration], updated: CoDesignProblem | None
+) -> FittedGeneration | None:  # fmt: skip
+    """What is deployed, with LQR by the logs at its design or a filter by them; None where there is no such one."""
     deployed = found[-1]
+    if updated is not None and isinstance(deployed.controller, Observed):
+        estimator = estimator_at(updated, deployed.design)
+        return replace(deployed, controller=Observed(deployed.controller.controller, estimator))
     logs = [one.log for one in found if np.array_equal(one.design, deployed.design)]  # none is carried to another
     if problem.measurement is None:
         with suppress(NotStabilisableError):
@@ -240,8 +258,8 @@ def _by_logs(problem: CoDesignProblem, found: list[FittedGeneration]) -> FittedG
 
 
 def _predicted(
-    problem: CoDesignProblem, fit: PlantFit | IdentifiedChange, one: Any, other: Any, draws: int,
-    rng: np.random.Generator,
+    problem: CoDesignProblem, fit: PlantFit | IdentifiedChange, updated: CoDesignProblem, one: Any, other: Any,
+    draws: int, rng: np.random.Generator,
 ) -> PairedDifference:  # fmt: skip
     """Gain of one over another on a fit's plant.
 
@@ -249,16 +267,16 @@ def _predicted(
     """
     seed = int(rng.integers(2**31))
 
-    def gains(updated: CoDesignProblem, runs: int | None) -> Array:
+    def gains(on: CoDesignProblem, runs: int | None) -> Array:
         """Gains on common runs; none where one loses more."""
         after, before = (
-            closed_loop_returns(updated, of.controller, of.design, np.random.default_rng(seed), runs=runs)
+            closed_loop_returns(on, of.controller, of.design, np.random.default_rng(seed), runs=runs)
             for of in (one, other)
         )
         return (after.values - before.values)[~(after.lost | before.lost) & (after.lost_share <= before.lost_share)]
 
-    drawn = [gains(updated, max(REAL_RUNS // draws, 2)) for updated in fit.drawn(problem, draws, rng)]
-    whole = gains(fit.updated(problem), None)
+    drawn = [gains(each, max(REAL_RUNS // draws, 2)) for each in fit.drawn(problem, draws, rng)]
+    whole = gains(updated, None)
     if not len(whole) or not all(map(len, drawn)):
         return PairedDifference(float("nan"), (-np.inf, np.inf))
     found = paired_difference(whole, np.zeros(len(whole)))

@@ -148,18 +148,23 @@ class PlantFit(Immutable):
     def updated(self, problem: CoDesignProblem) -> CoDesignProblem:
         """Problem on the plant that was found; see `updated_problem`."""
         self._check_known()
+        return self.likeliest(problem)
+
+    def likeliest(self, problem: CoDesignProblem) -> CoDesignProblem:
+        """Problem on the likeliest plant, whatever the status: what is made for it the real plant must judge."""
         return self.unknown.known(problem, self.values[: len(self.unknown.free)])
 
-    def _check_known(self) -> None:
-        if self.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+    def _check_known(self, *doubtful: FitStatus) -> None:
+        if self.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND, *doubtful):
             raise InputError("twin", f"a fit that is {self.status.name}", "one that is SOLVED", self.advice)
 
     def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> list[CoDesignProblem]:
-        """Problems on plants drawn from what is known of them."""
-        self._check_known()
+        """Problems on plants drawn from what is known of them; parameters that are left open stay at the likeliest."""
+        self._check_known(FitStatus.LASTING, FitStatus.OPEN)
         m = len(self.unknown.free)
-        units = np.where(self.deviations > 0, self.deviations, 1.0)[:m]
-        scaled = self.covariance[:m, :m] / units / units[:, None]
+        known = _inverse(self.covariance)[:m, :m]
+        units = np.where(np.diag(known) > 0, np.sqrt(np.diag(known)), 1.0)
+        scaled = known / units / units[:, None]
         away = as_generator("rng", rng).multivariate_normal(0 * units, scaled, as_count("draws", draws))
         drawn = self.values[:m] + units * away
         inside = drawn if self.unknown.constants else np.clip(drawn, *self.unknown.bounds)
@@ -207,7 +212,7 @@ def fit_plant(
 ) -> PlantFit:  # fmt: skip
     """Likeliest parameters of a plant, by logged outputs or states.
 
-    With sensors prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so
+    With sensors prediction errors are the innovations of a cubature Kalman filter at each value of the parameters, so
     inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the errors of one step,
     less the part of the last one that a fitted correlation carries on; each state's are weighed by their size.
     Without a `plant` a change of the nominal model is fitted that enters where w does: w + Θx x + Θu u + θ in its
@@ -456,7 +461,8 @@ def _innovations(
     unstated = mean - problem.mean_disturbance
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
-    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
+    rounding = NEGLIGIBLE * problem.state_scale
+    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled, rounding)
 
 
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
