@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
+from mpc.tolerances import ROUNDED_SUM
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +32,8 @@ class Innovations:
         Outputs as rows of `whitened`, and what was applied.
     scaled : bool
         Whether θ ends with logarithms of two factors: of the covariances of w, and of the outputs' noise.
-    rounding : (nx,) array
-        Least deviation of x that the filter takes for known.
+    known : (nx,) array
+        Deviation of x that is none, of what is known exactly.
 
     References
     ----------
@@ -46,7 +47,7 @@ class Innovations:
     rows: Array
     inputs: Array
     scaled: bool
-    rounding: Array
+    known: Array
 
     @cached_property
     def _sample(self) -> ca.Function:
@@ -56,10 +57,11 @@ class Innovations:
         theta = ca.MX.sym("theta", p.numel() + 2 * self.scaled)
         P, u, row = ca.MX.sym("P", nx, nx), ca.MX.sym("u", before.numel()), ca.MX.sym("row", ny * (1 + ny))
         p, factors = theta[: p.numel()], ca.exp(theta[p.numel() :]) if self.scaled else ca.DM.ones(2)
-        square = ca.SX.sym("square", nx, nx)
-        root = ca.Function("root", [square], [ca.chol(square + ca.diag(self.rounding**2)).T])
+        square, prior = ca.SX.sym("square", nx, nx), ca.SX.sym("prior", nx)
+        rounding = ROUNDED_SUM * prior + self.known**2  # a part of what was known before, whatever the units
+        root = ca.Function("root", [square, prior], [ca.chol(square + ca.diag(rounding)).T])
         white = ca.reshape(row[ny:], ny, ny)
-        y, of_x, of_y = _spread(lambda z: self.output(z, before, p), x, root(P))
+        y, of_x, of_y = _spread(lambda z: self.output(z, before, p), x, root(P, ca.diag(P)))
         away = ca.vertcat(of_x, white @ of_y)
         noise = ca.if_else(ca.sum2(white**2) > 0, factors[1], 1.0)  # nothing is told by one that was missed
         known, told = ca.vertcat(x, white @ (y - row[:ny])), []
@@ -69,10 +71,12 @@ class Innovations:
             gain = spread[:, i] / spread[i, i]
             known, spread = known - gain * known[i], spread - gain @ spread[i, :]
         mean, W = self.disturbance
-        variances, axes = np.linalg.eigh(W)
-        by_w = ca.DM(axes * np.sqrt(np.maximum(variances, 0))) * ca.sqrt(factors[0])
+        units = np.where(np.diag(W) > 0, np.sqrt(np.diag(W)), 1.0)
+        variances, axes = np.linalg.eigh(W / units / units[:, None])
+        some = variances > ROUNDED_SUM  # cubature points along the others would only be further out
+        by_w = ca.DM(units[:, None] * axes[:, some] * np.sqrt(variances[some])) * ca.sqrt(factors[0])
         both = ca.vertcat(known[:nx], ca.DM(mean))
-        roots = ca.diagcat(root(spread[:nx, :nx]), by_w)
+        roots = ca.diagcat(root(spread[:nx, :nx], ca.diag(P)), by_w)
         after, _, of_next = _spread(lambda z: self.step(z[:nx, :], u, z[nx:, :], p), both, roots)
         results = [after, of_next @ of_next.T, *(ca.vertcat(*part) for part in zip(*told))]
         return ca.Function("sample", [x, P, theta, before, u, row], results)
@@ -119,7 +123,7 @@ class Innovations:
 
 def _spread(function: Callable[[Any], Any], mean: Any, root: Any) -> tuple[Any, Any, Any]:
     """Mean of a function of x, and deviations of x and of it, whose squares are covariances, by cubature points."""
-    n = root.shape[0]
+    n = root.shape[1]
     away = n**0.5 * ca.horzcat(root, -root)
     values = function(mean + away)
     middle = ca.sum2(values) / (2 * n)

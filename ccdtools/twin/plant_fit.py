@@ -461,8 +461,8 @@ def _innovations(
     unstated = mean - problem.mean_disturbance
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
-    rounding = NEGLIGIBLE * problem.state_scale
-    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled, rounding)
+    least = NEGLIGIBLE**2 * problem.state_scale
+    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled, least)
 
 
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:

@@ -96,6 +96,35 @@ def test_a_redesign_for_a_plant_that_the_log_leaves_open_serves_where_the_real_p
     assert "Open: " in str(second)
 
 
+def gauged(gauge=1.0, names=()):
+    """The spring with a gauge of its position; with `names` in its design their product is what it shows."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1 + len(names))
+    space = DesignSpace(["k", *names], [0.5] + [0.3] * len(names), [4.0] + [2.0] * len(names))
+    shown = p[1] * p[2] if names else gauge
+    return Plant(x, u, w, p, [x[1], -p[0] * x[0] - 0.3 * x[1] + u + w], space, dt=0.33, outputs=[shown * x[0]])
+
+
+@pytest.mark.check
+def test_the_former_law_behind_the_filter_of_what_logs_tell_serves_where_a_redesign_is_no_better():
+    costs = QuadraticObjective(np.diag([20.0, 1.0]), [[0.01]], design_cost=lambda p: 200 * p[0])  # k stays least
+    problem = stated(objective=costs, measurement=Measurement(gauged(), noise=[0.05]))
+    elsewhere = replace(real(1.0), plant=gauged(0.5))
+    first, second = fitted_generations(
+        problem, elsewhere, method=Nested("lqg", starts=1), plant=gauged(names=("one", "other")),
+        rng=np.random.default_rng(0),
+    )  # fmt: skip
+    assert second.fit.status.name == "OPEN"
+    assert np.prod(second.fit.values[:2]) == pytest.approx(0.5, abs=0.03)
+    assert not second.accepted
+    assert second.controller.controller is first.controller.controller
+    assert "filter of the fit measured +" in str(second)
+    w = Gaussian([0.3]).sample(1500, 50, np.random.default_rng(77))
+    fresh = Scenario(elsewhere.plant, [1.0, 0.0], w, output=replace(problem.measurement, output=gauged(0.5)), seed=5)
+    before, after = (fresh.run(one.controller, design=one.design).returns(costs) for one in (first, second))
+    assert second.update.mean == pytest.approx((after - before).mean(), rel=0.25)
+    assert second.update.ci95[0] > 0
+
+
 def test_a_plant_that_is_as_modelled_is_not_made_worse():
     first, second = run(stated(), 1.0, draws=4)
     w = Gaussian([0.3]).sample(1500, 50, np.random.default_rng(77))

@@ -148,6 +148,14 @@ def test_units_change_nothing():
     np.testing.assert_allclose(fits[1].deviations, factors * fits[0].deviations, rtol=0.01)
 
 
+def test_how_wide_the_limits_of_the_state_are_changes_nothing():
+    problem = stated(0.01)
+    log = logged(problem, spring(0.6))
+    one, other = (fit_plant(replace(problem, X=X), log, plant=spring(names=("gain",))) for X in ((-4, 4), (-4e5, 4e5)))
+    np.testing.assert_allclose(other.values, one.values, atol=0.01 * one.deviations.min())
+    assert other.status is one.status
+
+
 def test_what_a_sensor_missed_tells_nothing():
     problem = stated()
     log = logged(problem, spring(0.5))
