@@ -186,7 +186,8 @@ def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Traje
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
-    errors = errors_in(problem, [residuals(problem.model, log, met=True) for log in given])
+    met = [residuals(problem.model, log, met=True, argument=f"logs[{i}]") for i, log in enumerate(given)]
+    errors = errors_in(problem, met)
     return IdentifiedPlant(problem.model, fitted_change(errors, problem.state_scale))
 
 

@@ -267,7 +267,9 @@ def fit_plant(
         raise InputError("logs", shown(logs), "at least one log")
     scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
     if output is None:
-        seen = errors_in(problem, [residuals(problem.model, log) for log in several])
+        seen = errors_in(
+            problem, [residuals(problem.model, log, argument=f"logs[{i}]") for i, log in enumerate(several)]
+        )
         p, measured = seen[-1].p, sum(log.e_next[:, 1:].size for log in seen)
     else:
         given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]

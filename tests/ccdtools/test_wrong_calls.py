@@ -302,9 +302,9 @@ CALLS = {
     "active bounds of tol text": (lambda: SPACE.active_bounds(P0, tol="near"), "tol"),
     "active bounds of tol -1": (lambda: SPACE.active_bounds(P0, tol=-1), "tol"),
     "sets zero": (lambda: dataset(sets=0), "sets"),
-    "a replay of states": (lambda: cc.replay_problem(PROBLEM, simulate().states, 5), "logs"),
-    "a replay of a log and states": (lambda: cc.replay_problem(PROBLEM, [simulate(), simulate().states], 5), "logs"),
-    "a replay of no log": (lambda: cc.replay_problem(PROBLEM, None, 5), "logs"),
+    "a replay of states": (lambda: cc.replay_problem(PROBLEM, simulate().states, 5), "logs[0]"),
+    "a replay of a log and states": (lambda: cc.replay_problem(PROBLEM, [simulate(), simulate().states], 5), "logs[1]"),
+    "a replay of no log": (lambda: cc.replay_problem(PROBLEM, None, 5), "logs[0]"),
     "scenarios that hold NaN": (
         lambda: problem(
             scenarios=SimpleNamespace(

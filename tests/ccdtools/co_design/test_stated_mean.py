@@ -26,7 +26,6 @@ from ccdtools import (
     saturated_lqr,
 )  # fmt: skip
 from ccdtools.co_design import admissible_inputs
-from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.twin import robust_mpc
 from invariant_sets import Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, lqr
@@ -209,28 +208,6 @@ def test_robust_mpc_is_that_about_the_rest():
         assert (np.abs(state) <= 1 + 1e-7).all()
     still = [law(x) for law in (mpc, linear_mpc(problem, DESIGN))]
     np.testing.assert_allclose(still, [u, u], atol=1e-7)
-
-
-@pytest.mark.parametrize("swing", [False, True])
-def test_the_region_of_lqr_is_that_of_the_loop_that_is_pushed(swing):
-    problem = problem_of(0.8, U=(-1.0, 1.0), X=(-1.0, 1.0), swing=swing)
-    states = np.random.default_rng(0).uniform(-1, 1, (400, 2))
-    designs = np.tile(DESIGN, (400, 1))
-    data = {name: expert_starts(one, states, designs) for name, one in (
-        ("pushed", problem), ("still", problem_of(0.0, U=(-1.0, 1.0), X=(-1.0, 1.0), swing=swing))
-    )}  # fmt: skip
-    law, x, step = saturated_lqr(problem, DESIGN), states, problem.model.stepper(np.array(DESIGN), batch=400)
-    kept = np.ones(400, dtype=bool)
-    for _ in range(600):
-        x = np.asarray(step(x, law(x), np.tile(problem.mean_disturbance, (400, 1))))
-        kept &= (np.abs(x) <= 1 + 1e-6).all(axis=1)
-    np.testing.assert_array_equal(data["pushed"], kept)
-    assert (data["pushed"] != data["still"]).sum() > 10
-
-
-def expert_starts(problem, states, designs):
-    """Whether each state lies in the region that saturated LQR keeps."""
-    return LQRRegions.of(problem, designs).contains(states, np.arange(len(states)))
 
 
 @pytest.mark.check

@@ -10,7 +10,6 @@ from scipy.linalg import expm, solve_discrete_are
 from ccdtools import InputError, Scenario, baselines, discretise, saturated_lqr
 from ccdtools.plants.library import QuarterCar, quarter_car
 from ccdtools.studies import load_study
-from ccdtools.studies.cases.semi_active_damper import unknown_car
 from ccdtools.vehicles import RealStrut, SemiActive, clipped_lqr, comfort
 
 DESIGN = np.array([20000.0, 3000.0])
@@ -64,17 +63,6 @@ def test_the_felt_acceleration_of_the_study_is_that_of_the_standard(study, frequ
     s = 2j * np.pi * frequency
     response = np.linalg.solve(s * np.eye(2) - slopes[4:, 4:], column)[0, 0]
     assert abs(response) / 2**0.5 == pytest.approx(felt, rel=0.06)
-
-
-def test_the_car_with_unknown_entries_is_the_real_one_at_its_values_and_senses_what_moves_it(study):
-    unknown, real, rng = unknown_car(), study.real.plant, np.random.default_rng(0)
-    for _ in range(5):
-        x, u, w = rng.normal(size=6) * [0.01, 1, 0.08, 1, 1, 30], rng.uniform(-1, 1, 1), rng.normal(size=1)
-        rates = np.array(real.right_hand_side(x, u, w, DESIGN)).ravel()
-        entries = np.array([*DESIGN, 100.0, 0.4, 40.0, 4e5])
-        np.testing.assert_allclose(np.array(unknown.right_hand_side(x, u, w, entries)).ravel(), rates, rtol=1e-9)
-        for plant, p in ((real, DESIGN), (unknown, entries)):
-            np.testing.assert_allclose(plant.observe(x, u, p), [rates[3], rates[1], x[2]], rtol=1e-9)
 
 
 @pytest.mark.parametrize(("car", "dt"), [(QuarterCar(), 0.01), (QuarterCar(sprung=300.0, tyre=1.5e5), 0.02)])

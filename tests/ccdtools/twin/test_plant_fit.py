@@ -16,7 +16,6 @@ from ccdtools import (
     InputError,
     LinearFeedback,
     Measurement,
-    Passive,
     Plant,
     QuadraticObjective,
     RandomStarts,
@@ -25,7 +24,7 @@ from ccdtools import (
     saturated_lqr,
 )
 from ccdtools.co_design import kalman_filter
-from ccdtools.controllers import Observed
+from ccdtools.controllers import Observed, Passive
 from ccdtools.twin import OutputLog, fit_plant, updated_problem
 
 BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])

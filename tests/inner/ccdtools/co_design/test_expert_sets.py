@@ -276,3 +276,30 @@ def test_what_is_quick_says_nothing(illustrative):
     expert_dataset(illustrative.problem(), samples=5, rng=np.random.default_rng(0), echo=lines.append)
     assert not lines
     assert list(itertools.islice(progress.counted(itertools.count(), "n", total=3), 3)) == [0, 1, 2]
+
+
+def pushed(mean, *, swing):
+    """A spring, or a pendulum, pushed by a disturbance with a mean."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    back = ca.sin(x[0]) if swing else x[0]
+    space = cc.DesignSpace(["k"], [0.5], [5.0])
+    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p * back - 0.3 * x[1] + u + w), space, dt=0.1)
+    return cc.CoDesignProblem(
+        cc.discretise(plant), X=(-1.0, 1.0), U=(-1.0, 1.0),
+        objective=cc.QuadraticObjective(np.diag([1.0, 0.1]), [[0.05]]),
+        scenarios=cc.FixedStart([0.5, 0.0], cc.Gaussian([0.01], [mean])),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("swing", [False, True])
+def test_the_region_of_lqr_is_that_of_the_loop_that_is_pushed(swing):
+    problem, still = (pushed(mean, swing=swing) for mean in (0.8, 0.0))
+    states, designs = np.random.default_rng(0).uniform(-1, 1, (400, 2)), np.full((400, 1), 2.0)
+    found, at_rest = (LQRRegions.of(one, designs).contains(states, np.arange(400)) for one in (problem, still))
+    law, x, step = cc.saturated_lqr(problem, [2.0]), states, problem.model.stepper(np.array([2.0]), batch=400)
+    kept = np.ones(400, dtype=bool)
+    for _ in range(600):
+        x = np.asarray(step(x, law(x), np.tile(problem.mean_disturbance, (400, 1))))
+        kept &= (np.abs(x) <= 1 + 1e-6).all(axis=1)
+    np.testing.assert_array_equal(found, kept)
+    assert (found != at_rest).sum() > 10
