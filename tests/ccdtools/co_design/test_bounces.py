@@ -6,7 +6,7 @@ from mass_and_wall import CASES, DESIGN, Case, Optimum
 
 from ccdtools import CoDesignConfig, closed_loop_returns, codesign, saturated_lqr
 
-pytestmark = pytest.mark.check
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

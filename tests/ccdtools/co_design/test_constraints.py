@@ -11,7 +11,7 @@ from ccdtools.co_design import expert_dataset
 from learning import ActorCritic, CloningConfig, NetworkConfig, PPOConfig, fit_actor_critic
 
 SMALL = CoDesignConfig(iterations=160, runs=16, pathwise_runs=48, evaluation_runs=300)
-IN_SECONDS = ("a curved budget in other units", "a forbidden disc", "teeth")
+IN_SECONDS = ("a curved budget in other units", "a forbidden disc")
 HELD = {"a mass budget", "a curved budget in other units", "two budgets", "a forbidden disc", "a fixed entry", "teeth"}
 
 

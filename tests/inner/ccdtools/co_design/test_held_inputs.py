@@ -30,7 +30,7 @@ def test_a_policy_that_does_not_use_the_wall_is_worse_than_inputs_that_are_held(
     assert 0.3 < gain.mean < 1.4  # the optimum returns 1.26 more
 
 
-@pytest.mark.check
+@pytest.mark.slow
 def test_a_policy_from_scratch_learns_to_use_it():
     stated = WALL.problem()
     other = policy_from_scratch(stated, np.array(DESIGN), np.random.default_rng(2))

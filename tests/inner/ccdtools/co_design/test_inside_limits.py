@@ -92,7 +92,7 @@ def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_des
     assert abs(float(near.at(v + 0.06)[0]) - there.allowed.fraction) < 0.3 * abs(constant)
 
 
-@pytest.mark.check
+@pytest.mark.slow
 def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
     lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
     allowed = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))

@@ -69,7 +69,7 @@ def test_loops_show_what_a_law_does_after_other_inputs():
     np.testing.assert_array_equal(values[-1], plain.rewards[-1])
 
 
-@pytest.mark.check
+@pytest.mark.slow
 def test_a_co_design_gets_up_and_is_held_against_mpc_that_does():
     problem, p = hanging(steps=90), np.array([0.85])
     config = CoDesignConfig(iterations=10, design_rate=0.0)

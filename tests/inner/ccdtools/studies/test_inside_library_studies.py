@@ -12,7 +12,7 @@ from ccdtools.studies import Generations, RunFolder, load_study
 from ccdtools.studies.report.report import write_report
 
 
-@pytest.mark.check
+@pytest.mark.slow
 def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path):
     """Episodes of 20 steps, and hardly any iterations."""
     study = load_study("quarter_car")
