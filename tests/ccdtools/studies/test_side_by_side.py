@@ -147,7 +147,7 @@ def test_a_configuration_is_of_a_study():
         configuration("illustrative")
 
 
-@pytest.mark.check
+@pytest.mark.slow
 def test_the_command_designs_a_softer_car_for_the_mild_driver_with_less_effort_for_both(tmp_path):
     """The whole quick form, on roads of other classes than the designs were made for."""
     runner = CliRunner()
