@@ -591,7 +591,7 @@ def test_of_states_wrong_logs_are_named():
         ([], "at least one log"),
         (replace(log, dt=2 * DT), "dt"),
         (replace(log, diverged_at=np.zeros(RUNS, dtype=int)), "all diverged"),
-        (replace(log, states=np.where(np.arange(STEPS + 1)[:, None] == 5, np.nan, log.states)), "log.states"),
+        (replace(log, states=np.where(np.arange(STEPS + 1)[:, None] == 5, np.nan, log.states)), r"logs\[0\].states"),
     ]:
         with pytest.raises(InputError, match=words):
             fit_plant(problem, given, plant=spring(names=("gain",)))
