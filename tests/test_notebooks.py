@@ -73,7 +73,7 @@ def test_the_loop_runs_as_the_first_notebook_shows(tmp_path):
         assert float(rows[-1].split("[")[1].split(",")[0]) > 0  # better than LQR on the real plant, after one update
 
 
-@pytest.mark.check
+@pytest.mark.slow
 def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(tmp_path):
     for notebook in (kept("06"), run_again("06", tmp_path)):
         told = [o["data"]["text/plain"] for c in notebook.cells for o in c.get("outputs", []) if "data" in o]
