@@ -19,8 +19,8 @@ from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.controllers.history import History
 from ccdtools.controllers.observed import Observed
 from ccdtools.estimation.belief import Belief
-from ccdtools.estimation.expressions import next_belief
-from ccdtools.estimation.extended import ExtendedKalmanFilter
+from ccdtools.estimation.regression import next_belief
+from ccdtools.estimation.cubature import CubatureKalmanFilter
 from ccdtools.estimation.outputs import linear_outputs
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.linear_model import LinearModel
@@ -43,7 +43,7 @@ def estimator_at(problem: CoDesignProblem, p: Array) -> Any:
     if not isinstance(problem.model, SampledModel | LinearModel) or (exact and isinstance(problem.model, LinearModel)):
         return linear
     start = {"P0": linear.P0, "x0": linear.x0, "c": linear.c}
-    return ExtendedKalmanFilter(problem.model, problem.measurement, W=linear.W, V=linear.V, design=p, **start)
+    return CubatureKalmanFilter(problem.model, problem.measurement, W=linear.W, V=linear.V, design=p, **start)
 
 
 def memory_at(problem: CoDesignProblem, p: Array, history: int | None) -> Callable[[Any], Any]:

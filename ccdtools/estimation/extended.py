@@ -191,14 +191,14 @@ class ExtendedKalmanFilter(Filter):
             return lambda x, u: (x @ A.T + u @ B.T + c, A)
         return _differentiated(self.model, self.design)
 
-    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
-        after, F = self._f(x, u)
-        return after + self.c, F
+    def _transition(self, belief: Belief, u: Array) -> Any:
+        after, F = self._f(belief.mean, u)
+        return after + self.c, F, 0.0
 
-    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
+    def _expected(self, belief: Belief, u: Array) -> Any:
         variances = np.diagonal(belief.covariance, axis1=-2, axis2=-1)
         slope = self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
-        return self._h.of(belief.mean, u), slope
+        return self._h.of(belief.mean, u), slope, 0.0
 
 
 def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:

@@ -192,14 +192,14 @@ class KalmanFilter(Filter):
     def predict(self, belief: Belief, u: ArrayLike) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
         if self.steady:
-            return Belief(self._transition(belief.mean, rows_of("u", u, belief, self.nu))[0], self.predicted)
+            return Belief(self._transition(belief, rows_of("u", u, belief, self.nu))[0], self.predicted)
         return super().predict(belief, u)
 
-    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
-        return x @ self.A.T + u @ self.B.T + self.c, self.A
+    def _transition(self, belief: Belief, u: Array) -> tuple[Array, Array, Any]:
+        return belief.mean @ self.A.T + u @ self.B.T + self.c, self.A, 0.0
 
-    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
-        return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C
+    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array, Any]:
+        return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C, 0.0
 
-    def _corrected(self, P: Array, H: Array) -> tuple[Array, Array]:
-        return (self.gain, self.covariance) if self.steady else super()._corrected(P, H)
+    def _corrected(self, P: Array, H: Array, V: Array) -> tuple[Array, Array]:
+        return (self.gain, self.covariance) if self.steady else super()._corrected(P, H, V)

@@ -10,7 +10,7 @@ import pytest
 import ccdtools as cc
 from ccdtools import InputError, KalmanFilter, LinearFeedback, Measurement
 from ccdtools.controllers import Filtered, Observed
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, OffsetFreeMPC, lqr
 
@@ -24,7 +24,7 @@ MODEL = cc.LinearModel.from_state_space(control.ss(A, B, np.eye(2), 0, 0.1), E=n
 K, _ = lqr(A, B, Q=np.eye(2), R=[[0.1]])
 STEADY = KalmanFilter(A, B, C, W, V)
 OVER_TIME = KalmanFilter(A, B, C, W, V, steady=False, x0=[-0.5, 0.0], P0=[1.0, 0.1])
-EXTENDED = ExtendedKalmanFilter(MODEL, C, W=W, V=V, P0=[1.0, 0.1], x0=[-0.5, 0.0])
+EXTENDED = CubatureKalmanFilter(MODEL, C, W=W, V=V, P0=[1.0, 0.1], x0=[-0.5, 0.0])
 X0 = np.array([[-1.0, 0.0], [0.5, 0.2], [0.3, -0.1]])
 STEPS = 30
 NOISE = 0.01 * np.random.default_rng(1).standard_normal((3, STEPS, 1))
@@ -196,7 +196,7 @@ def test_a_comparison_times_it_without_counting(admissible):
 
 def test_a_policy_keeps_its_design_behind_the_estimate(illustrative, clone):
     policy = cc.LearnedPolicy(clone(illustrative), [2.0])
-    estimator = ExtendedKalmanFilter(illustrative.model, [[1.0, 0.0]], W=[1e-4, 1e-4], V=[1e-4], P0=[4.0, 4.0],
+    estimator = CubatureKalmanFilter(illustrative.model, [[1.0, 0.0]], W=[1e-4, 1e-4], V=[1e-4], P0=[4.0, 4.0],
                                      x0=[-1.5, -1.5], design=[2.0])  # fmt: skip
     observed = Observed(policy, estimator)
     options = {"x0": [-2.0, -2.0], "output": Measurement([[1.0, 0.0]], noise=[0.01]), "rng": np.random.default_rng(0)}

@@ -25,7 +25,7 @@ from ccdtools import (
 )
 from ccdtools.cli import main
 from ccdtools.controllers import History, Observed, OnnxPolicy
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from ccdtools.plants import BlackBox
 from learning import ActorCritic, CheckpointError, NetworkConfig, load, save
 
@@ -207,7 +207,7 @@ def of_extended(kind):
         model = replace(discretise(plant), substeps=2)
     elif kind == "linear":  # with a constant term
         model = discretise(replace(plant, dynamics=plant.p * (B @ plant.u - plant.x + 0.1)))
-    estimator = ExtendedKalmanFilter(model, plant, design=[0.5], **NOISE)
+    estimator = CubatureKalmanFilter(model, plant, design=[0.5], **NOISE)
     return Observed(of_outputs(n=3, size=2.5).controller, estimator)
 
 
@@ -285,8 +285,8 @@ class Told:
 
 def test_a_policy_behind_a_filter_of_no_expressions_does_not_leave_python(tmp_path):
     known, plant = of_estimate(), nonlinear_plant()
-    stiff = ExtendedKalmanFilter(discretise(plant, method="collocation"), design=[0.5], **NOISE)
-    python = ExtendedKalmanFilter(plant, lambda x: x[:, :NY], design=[0.5], **NOISE)
+    stiff = CubatureKalmanFilter(discretise(plant, method="collocation"), design=[0.5], **NOISE)
+    python = CubatureKalmanFilter(plant, lambda x: x[:, :NY], design=[0.5], **NOISE)
     for law, argument in (
         (Observed(known.controller, stiff), "estimator: got an implicit step.*filter around"),
         (Observed(known.controller, python), "estimator: got outputs by a function in Python.*filter around"),

@@ -9,7 +9,7 @@ import pytest
 
 import ccdtools as cc
 from ccdtools import InputError, KalmanFilter, Measurement
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from ccdtools.plants import library
 
 STEPS = 40
@@ -39,7 +39,7 @@ def test_of_a_linear_model_it_is_the_kalman_filter(servo, kind):
     linear = KalmanFilter(A, B, [[1, 0], [0, 2]], D=[[0.3], [0]], steady=False, **COVARIANCES).filter(y, u)
     sampled = cc.SampledModel(plant, plant.dt)
     model = {"exact": cc.discretise(plant), "integrated": plant, "sampled": sampled}[kind]
-    extended = ExtendedKalmanFilter(model, plant, design=p, **COVARIANCES).filter(y, u)
+    extended = CubatureKalmanFilter(model, plant, design=p, **COVARIANCES).filter(y, u)
     exact = 1e-9 if kind == "exact" else 1e-5  # Runge–Kutta
     np.testing.assert_allclose(extended.means, linear.means, rtol=exact, atol=exact)
     np.testing.assert_allclose(extended.innovations, linear.innovations, rtol=exact, atol=exact)
@@ -53,7 +53,7 @@ def test_of_a_linear_model_it_is_the_kalman_filter(servo, kind):
 def test_a_constant_term_of_a_linear_model_is_predicted():
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
     falls = cc.Plant(x, u, None, None, [0.5 * x + u + 3.0], cc.DesignSpace([], [], []), 1.0, continuous=False)
-    found = ExtendedKalmanFilter(cc.discretise(falls), [[1.0]], W=[1e-9], V=[1e9], P0=[1e-9]).filter(
+    found = CubatureKalmanFilter(cc.discretise(falls), [[1.0]], W=[1e-9], V=[1e9], P0=[1e-9]).filter(
         np.zeros((4, 1)), np.zeros((4, 1))
     )
     np.testing.assert_allclose(found.means[0, :, 0], [0.0, 3.0, 4.5, 5.25], rtol=1e-6)
@@ -112,7 +112,7 @@ GIVEN = {"W": 1e-8 * np.ones(4), "V": 1e-4 * np.ones(2), "P0": 0.05**2 * np.ones
 @pytest.mark.parametrize("output", [polar, polar_plant()], ids=["function", "plant"])
 def test_it_is_the_filter_of_the_textbook(output):
     _, y, u = a_record(12)
-    found = ExtendedKalmanFilter(PENDULUM, output, **GIVEN).filter(y, u)
+    found = CubatureKalmanFilter(PENDULUM, output, **GIVEN).filter(y, u)
     step = PENDULUM.step
     for i in (0, 11):
         means = by_hand(
@@ -124,7 +124,7 @@ def test_it_is_the_filter_of_the_textbook(output):
 
 def test_all_runs_at_once_are_the_runs_one_by_one():
     _, y, u = a_record(9)
-    filter_ = ExtendedKalmanFilter(PENDULUM, polar_plant(), **GIVEN)
+    filter_ = CubatureKalmanFilter(PENDULUM, polar_plant(), **GIVEN)
     together = filter_.filter(y, u)
     for i in (0, 8):
         np.testing.assert_allclose(filter_.filter(y[i], u[i]).means[0], together.means[i], rtol=1e-10, atol=1e-13)
@@ -133,8 +133,8 @@ def test_all_runs_at_once_are_the_runs_one_by_one():
 def test_errors_are_as_large_as_is_stated():
     states, y, u = a_record(300, seed=3)
     given = GIVEN | {"W": 1e-14 * np.ones(4)}
-    found = ExtendedKalmanFilter(PENDULUM, polar, **given).filter(y, u)
-    blind = ExtendedKalmanFilter(PENDULUM, polar, **(given | {"V": 1e12 * np.ones(2)})).filter(y, u)
+    found = CubatureKalmanFilter(PENDULUM, polar, **given).filter(y, u)
+    blind = CubatureKalmanFilter(PENDULUM, polar, **(given | {"V": 1e12 * np.ones(2)})).filter(y, u)
     error = states[:, -1] - found.means[:, -1]
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariances[:, -1]), error)
     assert nees.mean() == pytest.approx(4, abs=4 * np.sqrt(2 * 4 / 300))
@@ -148,8 +148,8 @@ def test_a_function_is_differentiated_in_any_units():
     moved = ca.substitute(PENDULUM.dynamics, x, x / ca.DM(units)) * ca.DM(units)
     other = cc.Plant(x, u_, w, p, moved, PENDULUM.design, PENDULUM.dt)
     scaled = {"W": 1e-8 * units**2, "P0": 0.05**2 * units**2, "V": GIVEN["V"], "design": P}
-    found = ExtendedKalmanFilter(other, lambda x: polar(x / units), **scaled).filter(y, u).means / units
-    own = ExtendedKalmanFilter(PENDULUM, polar, **GIVEN).filter(y, u).means
+    found = CubatureKalmanFilter(other, lambda x: polar(x / units), **scaled).filter(y, u).means / units
+    own = CubatureKalmanFilter(PENDULUM, polar, **GIVEN).filter(y, u).means
     np.testing.assert_allclose(found, own, rtol=1e-5, atol=1e-8)
 
 
@@ -163,13 +163,13 @@ def test_a_function_of_input_and_design_is_given_them():
         return x[:, :1] + u
 
     y, u = np.ones((1, 3, 1)), np.arange(3.0).reshape(1, 3, 1)
-    ExtendedKalmanFilter(plant, h, W=np.ones(4), V=[1.0], P0=np.ones(4), design=p).filter(y, u)
+    CubatureKalmanFilter(plant, h, W=np.ones(4), V=[1.0], P0=np.ones(4), design=p).filter(y, u)
     np.testing.assert_array_equal(np.unique([u for u, _ in heard if len(u) == 1]), [0.0, 1.0])
     np.testing.assert_array_equal(heard[-1][1], p)
 
 
 def test_states_that_are_known_exactly_are_not_moved():
-    found = ExtendedKalmanFilter(PENDULUM, polar, W=np.zeros(4), V=[1.0, 1.0], P0=np.zeros(4), design=P)
+    found = CubatureKalmanFilter(PENDULUM, polar, W=np.zeros(4), V=[1.0, 1.0], P0=np.zeros(4), design=P)
     y, u = np.ones((5, 2)), np.zeros((5, 1))
     np.testing.assert_array_equal(found.filter(y, u).means, np.zeros((1, 5, 4)))
 
@@ -181,7 +181,7 @@ def test_implicit_steps_are_filtered_too():
     rng = np.random.default_rng(0)
     y, u = 0.01 * rng.standard_normal((2, 10, 1)), rng.standard_normal((2, 10, 1))
     explicit, implicit = (
-        ExtendedKalmanFilter(cc.discretise(plant, method=method), [[1.0, 0, 0, 0]], **given).filter(y, u).means
+        CubatureKalmanFilter(cc.discretise(plant, method=method), [[1.0, 0, 0, 0]], **given).filter(y, u).means
         for method in ("rk4", "collocation")
     )
     np.testing.assert_allclose(implicit, explicit, rtol=1e-4, atol=1e-6)
@@ -189,7 +189,7 @@ def test_implicit_steps_are_filtered_too():
 
 def test_copies_and_pickles_do_the_same():
     _, y, u = a_record(2)
-    own = ExtendedKalmanFilter(PENDULUM, polar_plant(), **GIVEN)
+    own = CubatureKalmanFilter(PENDULUM, polar_plant(), **GIVEN)
     assert copy.deepcopy(own) is own
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(own)).filter(y, u).means, own.filter(y, u).means)
 
@@ -216,12 +216,12 @@ def test_copies_and_pickles_do_the_same():
 def test_what_makes_no_filter_is_named(changed, message):
     given = {"model": PENDULUM, "output": polar} | GIVEN | changed
     with pytest.raises(InputError, match=message):
-        ExtendedKalmanFilter(**given)
+        CubatureKalmanFilter(**given)
 
 
 def test_the_noise_of_a_measurement_plays_no_part():
     _, y, u = a_record(1)
-    noisy = ExtendedKalmanFilter(PENDULUM, Measurement(polar, noise=[1.0, 1.0]), **GIVEN)
+    noisy = CubatureKalmanFilter(PENDULUM, Measurement(polar, noise=[1.0, 1.0]), **GIVEN)
     np.testing.assert_array_equal(
-        noisy.filter(y, u).means, ExtendedKalmanFilter(PENDULUM, polar, **GIVEN).filter(y, u).means
+        noisy.filter(y, u).means, CubatureKalmanFilter(PENDULUM, polar, **GIVEN).filter(y, u).means
     )
