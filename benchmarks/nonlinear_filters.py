@@ -178,7 +178,9 @@ class Hand:
         expected, S, C = self.moments(self.case.see, belief, u)
         K = np.linalg.solve(S + self.case.V, C.swapaxes(1, 2)).swapaxes(1, 2)
         P = belief.P - product(product(K, S + self.case.V), K.swapaxes(1, 2))
-        return SimpleNamespace(mean=belief.mean + np.einsum("nij,nj->ni", K, y - expected), P=(P + P.swapaxes(1, 2)) / 2)
+        return SimpleNamespace(
+            mean=belief.mean + np.einsum("nij,nj->ni", K, y - expected), P=(P + P.swapaxes(1, 2)) / 2
+        )
 
 
 def sampled(P, shape, rng):

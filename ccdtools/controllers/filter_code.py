@@ -40,13 +40,14 @@ FILTER = """
 #include <math.h>
 
 #define NY @NAME@_NY
+#define NZ (NT + @nw@) /* with the disturbance */
 
 static const real process_noise[NT * NT] = @W@;
 static const real output_noise[NY * NY] = @V@;
 static const real drift[NT] = @c@; /* of a sample */
 static const real first_estimate[NT] = @x0@;
 static const real first_covariance[NT][NT] = @P0@;
-@root@@advance@@observe@
+@held@@root@@advance@@observe@
 /* covariances (m, NT) and (m, m) of a function of a state with it, and with itself, from slope (m, NT) and noise */
 static void spread(int m, real P[NT][NT], const real *slope, const real *missed, const real *noise, real *with_state,
                    real *own)
@@ -132,18 +133,18 @@ int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], re
 
 ROOT = """
 /* lower root of a covariance, with columns of zeros along what is known; returns how many others there are */
-static int root_of(real P[NT][NT], real root[NT][NT])
+static int root_of(int n, const real *P, real *root)
 {
     int i, j, k, count = 0;
-    for (j = 0; j < NT; j++) {
+    for (j = 0; j < n; j++) {
         real pivot = 0;
-        for (i = 0; i < NT; i++) {
-            real sum = i < j ? 0 : P[i][j];
-            for (k = 0; k < j; k++) {
-                sum -= i < j ? 0 : root[i][k] * root[j][k];
+        for (i = 0; i < n; i++) {
+            real sum = i < j ? 0 : P[i * n + j];
+            for (k = 0; i >= j && k < j; k++) {
+                sum -= root[i * n + k] * root[j * n + k];
             }
-            pivot = i == j && sum > @rounding@ * P[j][j] ? @sqrt@(sum) : pivot;
-            root[i][j] = pivot > 0 ? sum / pivot : 0;
+            pivot = i == j && sum > @rounding@ * P[j * n + j] ? @sqrt@(sum) : pivot;
+            root[i * n + j] = pivot > 0 ? sum / pivot : 0;
         }
         count += pivot > 0;
     }
@@ -151,20 +152,24 @@ static int root_of(real P[NT][NT], real root[NT][NT])
 }
 """
 
+HELD = """static const real held[@some@] = @mean@; /* mean of the disturbance, and its covariance */
+static const real held_noise[@some@][@some@] = @S@;
+"""
+
 SAMPLE = """
-static void part_of(const real x[NT], const real u[NU], real value[NT])
+static void part_of(const real z[NZ], const real u[NU], real value[NT])
 {
 @body@
 }
 
-static void advance_of(const real x[NT], const real u[NU], real value[NT])
+static void advance_of(const real z[NZ], const real u[NU], real value[NT])
 {
-    real before[NT];
+    real before[NZ];
     int i, part;
-    part_of(x, u, value);
+    part_of(z, u, value);
     for (part = 1; part < @parts@; part++) {
-        for (i = 0; i < NT; i++) {
-            before[i] = value[i];
+        for (i = 0; i < NZ; i++) {
+            before[i] = i < NT ? value[i] : z[i];
         }
         part_of(before, u, value);
     }
@@ -172,66 +177,78 @@ static void advance_of(const real x[NT], const real u[NU], real value[NT])
 """
 
 OUTPUT = """
-static void observe_of(const real x[NT], const real u[NU], real value[NY])
+static void observe_of(const real z[NT], const real u[NU], real value[NY])
 {
 @body@
 }
 """
 
 CUBATURE = """
-/* mean of a function over a belief, its slope by least squares over cubature points, and the covariance that misses */
+/* mean of a function over a belief, its slope by least squares over cubature points, and the covariance beside it */
 static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real slope[@m@ * NT],
                 real missed[@m@ * @m@])
 {
-    real root[NT][NT], point[NT], up[NT][@m@], down[NT][@m@];
-    const int unknown = root_of(P, root);
-    const real count = (real)(unknown > 0 ? unknown : 1), far = @sqrt@(count);
-    int i, j, k;
-    for (j = 0; j < NT; j++) {
-        for (i = 0; i < NT; i++) {
-            point[i] = x[i] + far * root[i][j];
+    real spread_of[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], H[@m@][@n@], up[@n@][@m@], down[@n@][@m@];
+    int i, j, k, unknown;
+    real count, far;
+    for (i = 0; i < @n@; i++) {
+        centre[i] = i < NT ? x[i] : held[i - NT];
+        for (j = 0; j < @n@; j++) {
+            spread_of[i * @n@ + j] = i < NT && j < NT ? P[i][j] : i < NT || j < NT ? 0 : held_noise[i - NT][j - NT];
+        }
+    }
+    unknown = root_of(@n@, spread_of, root);
+    count = (real)(unknown > 0 ? unknown : 1);
+    far = @sqrt@(count);
+    for (j = 0; j < @n@; j++) {
+        for (i = 0; i < @n@; i++) {
+            point[i] = centre[i] + far * root[i * @n@ + j];
         }
         @f@_of(point, u, up[j]);
-        for (i = 0; i < NT; i++) {
-            point[i] = x[i] - far * root[i][j];
+        for (i = 0; i < @n@; i++) {
+            point[i] = centre[i] - far * root[i * @n@ + j];
         }
         @f@_of(point, u, down[j]);
     }
     for (i = 0; i < @m@; i++) {
         mean[i] = up[0][i];
-        for (j = 0; j < NT; j++) {
-            mean[i] += root[j][j] > 0 ? ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count : 0;
+        for (j = 0; j < @n@; j++) {
+            mean[i] += root[j * @n@ + j] > 0 ? ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count : 0;
         }
-        for (j = NT - 1; j >= 0; j--) {
+        for (j = @n@ - 1; j >= 0; j--) {
             real rest = (up[j][i] - down[j][i]) / (2 * far);
-            for (k = j + 1; k < NT; k++) {
-                rest -= slope[i * NT + k] * root[k][j];
+            for (k = j + 1; k < @n@; k++) {
+                rest -= H[i][k] * root[k * @n@ + j];
             }
-            slope[i * NT + j] = root[j][j] > 0 ? rest / root[j][j] : 0;
+            H[i][j] = root[j * @n@ + j] > 0 ? rest / root[j * @n@ + j] : 0;
+        }
+        for (j = 0; j < NT; j++) {
+            slope[i * NT + j] = H[i][j];
         }
     }
     for (i = 0; i < @m@; i++) {
         for (k = 0; k < @m@; k++) {
-            missed[i * @m@ + k] = 0;
-            for (j = 0; j < NT; j++) {
+            real sum = 0;
+            for (j = 0; j < @n@; j++) {
                 const real left = (up[j][i] + down[j][i]) / 2 - mean[i], other = (up[j][k] + down[j][k]) / 2 - mean[k];
-                missed[i * @m@ + k] += root[j][j] > 0 ? left * other / count : 0;
+                int l;
+                sum += root[j * @n@ + j] > 0 ? left * other / count : 0;
+                for (l = NT; j >= NT && l < @n@; l++) {
+                    sum += H[i][j] * held_noise[j - NT][l - NT] * H[k][l];
+                }
             }
+            missed[i * @m@ + k] = sum;
         }
     }
 }
 """
 
 LINEAR = """
-/* value of a linear function, its slope, and the covariance that the slope misses */
+/* value of a linear function, its slope, and the covariance beside it */
 static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real slope[@m@ * NT],
                 real missed[@m@ * @m@])
 {
-    int i;
 @body@
-    for (i = 0; i < @m@ * @m@; i++) {
-        missed[i] = 0;
-    }
     (void)P;
 }
 """
@@ -239,28 +256,44 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
 
 def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     """Fields of both templates, of a filter of expressions."""
-    plant = estimator.expressed()
-    x, u, none = plant.x, plant.u, ca.SX(0, 1)
+    plant, (mean, S) = estimator.expressed(), estimator.disturbance
+    x, u, w, none = plant.x, plant.u, plant.w, ca.SX(0, 1)
+    z, nw = ca.vertcat(x, w), plant.nw
     step = plant.explicit_step
     start = estimator.start(1)
     P0 = start.covariance.reshape(plant.nx, plant.nx)
-    tables = {"W": estimator.W.ravel(), "V": estimator.V.ravel(), "c": estimator.c, "x0": start.mean[0], "P0": P0}
+    room = np.zeros((max(nw, 1), max(nw, 1)))  # C has no empty tables
+    room[:nw, :nw] = S
+    tables = {
+        "W": estimator.W.ravel(), "V": estimator.V.ravel(), "c": estimator.c, "x0": start.mean[0], "P0": P0,
+    }  # fmt: skip
     one = {"sqrt": "sqrtf" if scalar == "float" else "sqrt", "parts": step.substeps}
     each = {
-        "advance": ("NT", step.function(x, u, none, none), SAMPLE, step.substep(x, u, none, none)),
-        "observe": ("NY", plant.outputs, OUTPUT, plant.outputs),
+        "advance": ("NT", "NZ", z, step.function(x, u, w, none), SAMPLE, step.substep(x, u, w, none)),
+        "observe": ("NY", "NT", x, plant.outputs, OUTPUT, plant.outputs),
     }
     found = {}
-    for f, (m, whole, template, value) in each.items():
-        slope = ca.jacobian(whole, x)
-        if ca.depends_on(slope, x):
-            text, body = template + CUBATURE, _body([x, u], {"value": value}, scalar)
+    for f, (m, n, of, whole, template, value) in each.items():
+        slope = ca.jacobian(whole, of)
+        if ca.depends_on(slope, of):
+            text, body = template + CUBATURE, _body([of, u], {"value": value}, ["z[{}]", "u[{}]"], scalar)
         else:
-            text, body = LINEAR, _body([x, u], {"mean": whole, "slope": slope.T}, scalar)
-        found[f] = fill(text, one | {"f": f, "m": m, "body": body})
+            H, G = ca.horzsplit(slope, [0, plant.nx, slope.shape[1]])
+            results = {
+                "mean": ca.substitute(whole, w, ca.DM(mean)),
+                "slope": H.T,
+                "missed": G @ ca.DM(S)[: G.shape[1], : G.shape[1]] @ G.T,
+            }
+            text, body = LINEAR, _body([x, u], results, ["x[{}]", "u[{}]"], scalar)
+        found[f] = fill(text, one | {"f": f, "m": m, "n": n, "body": body})
     rounding = ROUNDED_SUM / np.finfo(float).eps * np.finfo(np.float32 if scalar == "float" else float).eps
     root = fill(ROOT, one | {"rounding": real(rounding, scalar)}) if "root_of" in "".join(found.values()) else ""
-    return {name: table(values, scalar) for name, values in tables.items()} | found | {"ny": plant.ny, "root": root}
+    known = fill(
+        HELD, {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
+    )
+    return {name: table(values, scalar) for name, values in tables.items()} | found | {
+        "ny": plant.ny, "nw": nw, "root": root, "held": known if root else "",
+    }  # fmt: skip
 
 
 def _number(value: float, scalar: str) -> str:
@@ -268,15 +301,15 @@ def _number(value: float, scalar: str) -> str:
     return real(value, scalar) if math.isfinite(value) else ("-INFINITY" if value < 0 else "INFINITY")
 
 
-def _body(given: list[ca.SX], results: dict[str, ca.SX], scalar: str) -> str:
-    """C text that writes expressions in x and u to arrays."""
+def _body(given: list[ca.SX], results: dict[str, ca.SX], names: list[str], scalar: str) -> str:
+    """C text that writes expressions in given names to arrays."""
     f = ca.Function("f", given, [ca.vec(ca.densify(value)) for value in results.values()], {"cse": True})
     try:
         lines, values = Vectorised(f, "estimator").lines(
-            ["x[{}]", "u[{}]"], c_operations(scalar), "const real {} = {};", partial(_number, scalar=scalar)
+            names, c_operations(scalar), "const real {} = {};", partial(_number, scalar=scalar)
         )
     except KeyError as error:
         raise InputError("estimator", f"operation {error} of CasADi", "operations that C99 has") from None
     lines += [f"{name}[{i}] = {value};" for name, row in zip(results, values) for i, value in enumerate(row)]
-    unused = " ".join(f"(void){name};" for name, _ in zip("xu", given))
+    unused = " ".join(f"(void){name[0]};" for name in names)
     return "\n".join(f"    {line}" for line in [*lines, unused])

@@ -90,6 +90,7 @@ class Filter(Immutable):
     W: Any
     V: Any
     nu: Any
+    disturbance: Any = np.zeros(0), np.zeros((0, 0))  # mean and covariance of what else moves the plant
 
     @property
     def nx(self) -> int:
@@ -173,10 +174,9 @@ class Filter(Immutable):
         )  # fmt: skip
 
 
-def undisturbed_plant(x: ca.SX, u: ca.SX, dynamics: ca.SX, **options: Any) -> Plant:
-    """Plant without design and disturbance."""
-    none = ca.SX(0, 1)
-    return Plant(x, u, none, none, dynamics, NO_DESIGN, **options)
+def settled_plant(x: ca.SX, u: ca.SX, w: ca.SX, dynamics: ca.SX, **options: Any) -> Plant:
+    """Plant without design."""
+    return Plant(x, u, w, ca.SX(0, 1), dynamics, NO_DESIGN, **options)
 
 
 def rows_of(argument: str, value: ArrayLike, belief: Belief, size: int) -> Array:

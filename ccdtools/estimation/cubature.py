@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, frozen
-from ccdtools.estimation.belief import Belief, Filter, as_noise_covariances, as_start, undisturbed_plant
+from ccdtools.estimation.belief import Belief, Filter, as_covariance, as_noise_covariances, as_start, settled_plant
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
-from ccdtools.estimation.regression import Regressed, points, regressed, regression, root
+from ccdtools.estimation.regression import Regressed, points, regressed, regressed_step, regression, root
 from ccdtools.estimation.steady_state import Detectability, detectability
 from ccdtools.estimation.tolerances import DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
@@ -39,7 +39,7 @@ class CubatureKalmanFilter(Filter):
     Parameters
     ----------
     model : Plant, SampledModel or LinearModel
-        f at w = 0.
+        f, at w = 0 or with its `disturbance`.
     output : (ny, nx) array_like, Plant, callable, or Measurement
         h, as in `Measurement`; the model's own outputs where it is nothing. Its noise plays no part.
     W, V : (nx, nx) and (ny, ny) array_like
@@ -50,6 +50,9 @@ class CubatureKalmanFilter(Filter):
         Estimate before the first measurement; 0 by default.
     c : (nx,) array_like, optional
         Mean of the process noise of a sample; 0 by default.
+    disturbance : ((nw,), (nw, nw)) array_like, optional
+        Mean and covariance of the model's own w, held over a sample, which cubature points carry through f; 0 by
+        default.
     design : (np,) array_like
         p, where the model has design parameters.
 
@@ -84,6 +87,7 @@ class CubatureKalmanFilter(Filter):
     P0: ArrayField = field(kw_only=True)
     x0: ArrayField = field(default=None, kw_only=True)
     c: ArrayField = field(default=None, kw_only=True)
+    disturbance: Any = field(default=None, kw_only=True)
     design: ArrayField = field(default=None, kw_only=True)
     detectability: Detectability = field(init=False)
 
@@ -99,6 +103,10 @@ class CubatureKalmanFilter(Filter):
         self._set(x0=x0, P0=P0)
         c = np.zeros(self.nx) if self.c is None else as_vector("c", self.c, self.nx, of="one per state")
         self._set(c=c)
+        nw = self.model.nw
+        mean, S = (np.zeros(nw), np.zeros(nw)) if self.disturbance is None else self.disturbance
+        of = "one per disturbance of the model"
+        self._set(disturbance=(as_vector("disturbance", mean, nw, of=of), as_covariance("disturbance", S, nw)))
         ny = self._h.of(x0[None], np.zeros((1, self.nu))).shape[1]
         W, V = as_noise_covariances(self.W, self.V, self.nx, ny)
         self._set(W=W, V=V)
@@ -142,22 +150,27 @@ class CubatureKalmanFilter(Filter):
             cure = "Such a filter stays in Python: save the policy, and put the filter around it again."
             raise InputError("estimator", got, "expressions: explicit steps, and a Plant or a matrix as outputs", cure)
         x, u, p = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu), ca.DM(self.design)
+        w = ca.SX.sym("w", model.nw)
         y = stated.output(x, u, p) if isinstance(stated, Plant) else ca.DM(stated) @ x
         timing = {"dt": model.dt, "continuous": False, "outputs": y}
         if isinstance(model, LinearModel):
-            A, B, _ = model.matrices(self.design)
-            after = ca.DM(A) @ x + ca.DM(B) @ u + ca.DM(model.constant(self.design))
-            return undisturbed_plant(x, u, after, **timing)
-        rates = plant.right_hand_side(x, u, ca.DM.zeros(plant.nw), p)
+            return settled_plant(x, u, w, self._linear_step(model)(x, u, w), **timing)
         timing |= {"continuous": plant.continuous, "substeps": model.substeps}
-        return undisturbed_plant(x, u, rates, **timing)
+        return settled_plant(x, u, w, plant.right_hand_side(x, u, w, p), **timing)
+
+    def _linear_step(self, model: LinearModel) -> Callable[[Any, Any, Any], Any]:
+        """Step of expressions at the design."""
+        A, B, E = map(ca.DM, model.matrices(self.design))
+        constant = ca.DM(model.constant(self.design))
+        return lambda x, u, w: A @ x + B @ u + E @ w + constant
 
     def to_dict(self) -> dict[str, Any]:
         """Filter as plain values for `from_dict`; raises as `expressed`."""
         plant = self.expressed()
-        both = ca.Function("both", [plant.x, plant.u], [plant.dynamics, plant.outputs])
+        both = ca.Function("both", [plant.x, plant.u, plant.w], [plant.dynamics, plant.outputs])
         timing = {"dt": plant.dt, "continuous": plant.continuous, "substeps": plant.substeps}
         known = {name: getattr(self, name).tolist() for name in KNOWN}
+        known["disturbance"] = [part.tolist() for part in self.disturbance]
         return known | {"expressions": Vectorised(both).to_dict(), "timing": timing}
 
     @classmethod
@@ -169,10 +182,10 @@ class CubatureKalmanFilter(Filter):
         KeyError, IndexError, TypeError, ValueError
             If they are others.
         """
-        known = {name: values[name] for name in KNOWN}
-        x, u = (ca.SX.sym(name, size) for name, size in zip("xu", values["expressions"]["arguments"], strict=True))
-        after, y = function_of(values["expressions"])(x, u)
-        return cls(undisturbed_plant(x, u, after, outputs=y, **values["timing"]), **known)
+        known = {name: values[name] for name in (*KNOWN, "disturbance")}
+        x, u, w = (ca.SX.sym(name, size) for name, size in zip("xuw", values["expressions"]["arguments"], strict=True))
+        after, y = function_of(values["expressions"])(x, u, w)
+        return cls(settled_plant(x, u, w, after, outputs=y, **values["timing"]), **known)
 
     @property
     def nu(self) -> int:
@@ -189,12 +202,14 @@ class CubatureKalmanFilter(Filter):
         """Function (x, P, u) → x⁺ over a belief, its slope and what that misses."""
         x, P, u = self._symbols
         if isinstance(self.model, LinearModel):
-            A, B, _ = self.model.matrices(self.design)
-            return _over(lambda x: ca.DM(A) @ x + ca.DM(B) @ u + ca.DM(self.model.constant(self.design)), x, P, u)
-        step = self.model.step
-        with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
-            step = step.expand()
-        return _over(lambda x: step(x, u, ca.DM.zeros(self.model.nw, 1), self.design), x, P, u)
+            step = self._linear_step(self.model)
+        else:
+            whole = self.model.step
+            with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
+                whole = whole.expand()
+            step = lambda x, u, w: whole(x, u, w, self.design)
+        told = tuple(map(ca.DM, self.disturbance))
+        return _function(self._symbols, regressed_step(lambda x, w: step(x, u, w), x, P, told))
 
     @cached_property
     def _h(self) -> Output:
@@ -210,8 +225,8 @@ class CubatureKalmanFilter(Filter):
             return None
         x, P, u = self._symbols
         if isinstance(stated, Plant):
-            return _over(lambda x: stated.output(x, u, self.design), x, P, u)
-        return _over(lambda x: ca.DM(stated) @ x, x, P, u)
+            return _function((x, P, u), regression(lambda x: stated.output(x, u, self.design), x, P))
+        return _function((x, P, u), regression(lambda x: ca.DM(stated) @ x, x, P))
 
     def _transition(self, belief: Belief, u: Array) -> Regressed:
         after, F, missed = _rows(self._f(belief.mean.T, _columns(belief), u.T), len(u))
@@ -226,9 +241,9 @@ class CubatureKalmanFilter(Filter):
         return _rows(regressed(values.shape[1], self.nx)(values.T, L), len(u))
 
 
-def _over(function: Callable[[Any], Any], x: Any, P: Any, u: Any) -> ca.Function:
-    """Function (x, P, u) → regression of a function of x."""
-    return ca.Function("over", [x, P, u], [ca.densify(part) for part in regression(function, x, P)])
+def _function(symbols: tuple[Any, Any, Any], parts: Regressed) -> ca.Function:
+    """Function (x, P, u) → parts of a regression."""
+    return ca.Function("over", list(symbols), [ca.densify(part) for part in parts])
 
 
 def _columns(belief: Belief) -> Array:

@@ -51,12 +51,13 @@ class Innovations:
         p, factors = theta[: p.numel()], ca.exp(theta[p.numel() :]) if self.scaled else ca.DM.ones(2)
         white = ca.reshape(row[ny:], ny, ny)
         noise = ca.if_else(ca.sum2(white**2) > 0, factors[1], 1.0)  # nothing is told by one that was missed
-        seen = lambda z: white @ self.output(z, before, p)
-        known, spread, told = updated(seen, x, P, white @ row[:ny], ca.diag(noise))
+        known, spread, told = updated(
+            lambda x: white @ self.output(x, before, p), x, P, white @ row[:ny], ca.diag(noise)
+        )
         mean, W = self.disturbance
-        both = ca.vertcat(known, ca.DM(mean))
-        step = lambda z: self.step(z[:nx], u, z[nx:], p)
-        after, next_spread = predicted(step, both, ca.diagcat(spread, ca.DM(W) * factors[0]), 0)
+        after, next_spread = predicted(
+            lambda x, w: self.step(x, u, w, p), known, spread, (ca.DM(mean), ca.DM(W) * factors[0])
+        )
         results = [after, next_spread, *(ca.vertcat(*part) for part in zip(*told))]
         return ca.Function("sample", [x, P, theta, before, u, row], results)
 
@@ -98,4 +99,3 @@ class Innovations:
         r, s, *_ = self.at(theta)
         n, steps = self.inputs.shape[:2]
         return np.asarray((r / np.sqrt(s)).reshape(-1, steps, n).transpose(2, 1, 0))
-

@@ -19,7 +19,7 @@ from ccdtools.estimation.belief import (
     gain_of,
     propagated_covariance,
     rows_of,
-    undisturbed_plant,
+    settled_plant,
     updated_covariance,
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
@@ -153,7 +153,7 @@ class KalmanFilter(Filter):
         """Discrete plant of predicted states, without c, and outputs."""
         x, u = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu)
         after, y = (ca.DM(M) @ x + ca.DM(N) @ u for M, N in ((self.A, self.B), (self.C, self.D)))
-        return undisturbed_plant(x, u, after, dt=1.0, continuous=False, outputs=y + self.y0)
+        return settled_plant(x, u, ca.SX(0, 1), after, dt=1.0, continuous=False, outputs=y + self.y0)
 
     def to_dict(self) -> dict[str, Any]:
         """Filter as plain values, which `KalmanFilter` takes."""

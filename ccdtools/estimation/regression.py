@@ -11,7 +11,6 @@ from functools import cache
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from ccdtools.arrays import Array
 from mpc.tolerances import ROUNDED_SUM
@@ -74,10 +73,21 @@ def regression(function: Callable[[Any], Any], x: Any, P: Any) -> Regressed:
     return mean, slope, missed
 
 
-def predicted(step: Callable[[Any], Any], x: Any, P: Any, W: Any) -> tuple[Any, Any]:
-    """Mean and covariance of a step's value, with noise W."""
-    after, F, missed = regression(step, x, P)
-    return after, F @ P @ F.T + missed + W
+def regressed_step(step: Callable[[Any, Any], Any], x: Any, P: Any, disturbance: tuple[Any, Any]) -> Regressed:
+    """Mean, slope in x, and the covariance beside it, of a step (x, w) → x⁺ with mean and covariance of w."""
+    mean, S = disturbance
+    n = x.numel()
+    both = ca.vertcat(x, mean)
+    parts = [0, n, both.numel()]
+    after, slope, missed = regression(lambda z: step(*ca.vertsplit(z, parts)), both, ca.diagcat(P, S))
+    F, G = ca.horzsplit(slope, parts)
+    return after, F, missed + G @ S @ G.T
+
+
+def predicted(step: Callable[[Any, Any], Any], x: Any, P: Any, disturbance: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Mean and covariance after a step, as `regressed_step`."""
+    after, F, missed = regressed_step(step, x, P, disturbance)
+    return after, F @ P @ F.T + missed
 
 
 def updated(output: Callable[[Any], Any], x: Any, P: Any, y: Any, V: Any) -> tuple[Any, Any, list[tuple[Any, Any]]]:
@@ -100,26 +110,23 @@ def updated(output: Callable[[Any], Any], x: Any, P: Any, y: Any, V: Any) -> tup
 
 
 def next_belief(
-    step: Callable[[Any, Any], Any], output: Callable[[Any, Any], Any], belief: tuple[Any, Any], u: Any, y: Any,
-    W: Any, V: Array,
+    step: Callable[[Any, Any], Any], output: Callable[[Any], Any], belief: tuple[Any, Any], y: Any,
+    disturbance: tuple[Any, Any], V: Array,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """Estimate (nx,) and covariance (nx, nx) after an input and the output that follows it.
+    """Estimate (nx,) and covariance (nx, nx) after a step and the output that follows it.
 
     They are what `predict` and `update` of a `CubatureKalmanFilter` give.
 
     Parameters
     ----------
     step, output : callable
-        (x, u) → x⁺ and (x, u) → y, of expressions.
-    belief : (nx,) and (nx, nx) expressions
-        Estimate and covariance.
-    u, y : (nu,) and (ny,) expressions
-        Input, and what is measured after it.
-    W : (nx, nx) expression
-        Covariance of the process noise.
+        (x, w) → x⁺ and x → y, of expressions.
+    belief, disturbance : (n,) and (n, n) expressions
+        Mean and covariance of x, and of w.
+    y : (ny,) expression
+        What is measured after the step.
     V : (ny, ny) array
         Covariance of the measurement noise, positive definite.
     """
-    before = predicted(lambda x: step(x, u), *belief, W)
-    x, P, _ = updated(lambda x: output(x, u), *before, y, V)
+    x, P, _ = updated(output, *predicted(step, *belief, disturbance), y, V)
     return x, P
