@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -23,7 +23,7 @@ from ccdtools.plants.casadi_arrays import Vectorised, function_of
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools_ground.door import as_instance, as_vector
+from ccdtools_ground.door import as_instance, as_vector, shown
 
 KNOWN = ("W", "V", "P0", "x0", "c")  # what a file holds beside the expressions
 
@@ -104,7 +104,10 @@ class CubatureKalmanFilter(Filter):
         c = np.zeros(self.nx) if self.c is None else as_vector("c", self.c, self.nx, of="one per state")
         self._set(c=c)
         nw = self.model.nw
-        mean, S = (np.zeros(nw), np.zeros(nw)) if self.disturbance is None else self.disturbance
+        told = (np.zeros(nw), np.zeros(nw)) if self.disturbance is None else self.disturbance
+        if not isinstance(told, Sequence) or len(told) != 2:
+            raise InputError("disturbance", shown(told), f"a mean ({nw},) and a covariance ({nw}, {nw})")
+        mean, S = told
         of = "one per disturbance of the model"
         self._set(disturbance=(as_vector("disturbance", mean, nw, of=of), as_covariance("disturbance", S, nw)))
         ny = self._h.of(x0[None], np.zeros((1, self.nu))).shape[1]
@@ -151,12 +154,16 @@ class CubatureKalmanFilter(Filter):
             raise InputError("estimator", got, "expressions: explicit steps, and a Plant or a matrix as outputs", cure)
         x, u, p = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu), ca.DM(self.design)
         w = ca.SX.sym("w", model.nw)
-        y = stated.output(x, u, p) if isinstance(stated, Plant) else ca.DM(stated) @ x
-        timing = {"dt": model.dt, "continuous": False, "outputs": y}
+        timing = {"dt": model.dt, "continuous": False, "outputs": self._seen(x, u)}
         if isinstance(model, LinearModel):
             return settled_plant(x, u, w, self._linear_step(model)(x, u, w), **timing)
         timing |= {"continuous": plant.continuous, "substeps": model.substeps}
         return settled_plant(x, u, w, plant.right_hand_side(x, u, w, p), **timing)
+
+    def _seen(self, x: Any, u: Any) -> Any:
+        """Outputs as expressions at the design."""
+        stated = self.output.output
+        return stated.output(x, u, self.design) if isinstance(stated, Plant) else ca.DM(stated) @ x
 
     def _linear_step(self, model: LinearModel) -> Callable[[Any, Any, Any], Any]:
         """Step of expressions at the design."""
@@ -219,14 +226,11 @@ class CubatureKalmanFilter(Filter):
 
     @cached_property
     def _over_outputs(self) -> ca.Function | None:
-        """Function (x, P, u) → outputs over a belief, their slope and what that misses; None of a function in Python."""
-        stated = self.output.output
-        if not isinstance(stated, Plant | np.ndarray):
+        """Function (x, P, u) → outputs over a belief, slope and what that misses; None if they are in Python."""
+        if not isinstance(self.output.output, Plant | np.ndarray):
             return None
         x, P, u = self._symbols
-        if isinstance(stated, Plant):
-            return _function((x, P, u), regression(lambda x: stated.output(x, u, self.design), x, P))
-        return _function((x, P, u), regression(lambda x: ca.DM(stated) @ x, x, P))
+        return _function(self._symbols, regression(lambda x: self._seen(x, u), x, P))
 
     def _transition(self, belief: Belief, u: Array) -> Regressed:
         after, F, missed = _rows(self._f(belief.mean.T, _columns(belief), u.T), len(u))

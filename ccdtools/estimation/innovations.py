@@ -18,7 +18,7 @@ from ccdtools.estimation.regression import predicted, updated
 class Innovations:
     """Innovations of a cubature Kalman filter, by parameters θ (m,).
 
-    An extended one, whose slope is that at its estimate, mistakes what bends within its uncertainty, such as dry
+    An extended filter, whose slope is that at its estimate, mistakes what bends within its uncertainty, such as dry
     friction, for noise that lasts.
 
     Attributes

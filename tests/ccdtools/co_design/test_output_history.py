@@ -107,7 +107,8 @@ def test_the_states_are_the_plant_and_what_its_filter_believes(kind, stiff, rng)
     h = problem.measurement.at(2, 1, p).of
     known = kalman_filter(problem, p)
     if kind != "simulator":
-        noise = {"W": known.W, "V": known.V, "P0": np.diag([0.2, 0.1]), "c": known.c}
+        told = problem.mean_disturbance, problem.moments[2]
+        noise = {"W": np.zeros(2), "V": known.V, "P0": np.diag([0.2, 0.1]), "disturbance": told}
         known = CubatureKalmanFilter(problem.model, problem.measurement, design=p, **noise)
     step, own = longer.model.stepper(p, batch=4), problem.model.stepper(p, batch=4)
     x = rng.standard_normal((4, 2))

@@ -1,4 +1,4 @@
-"""The extended Kalman filter: the linear one of linear models, derivatives that are right, and consistent errors."""
+"""The cubature Kalman filter: the linear one of linear models, that of the textbook of others, and consistent errors."""
 
 import copy
 import pickle
@@ -39,14 +39,14 @@ def test_of_a_linear_model_it_is_the_kalman_filter(servo, kind):
     linear = KalmanFilter(A, B, [[1, 0], [0, 2]], D=[[0.3], [0]], steady=False, **COVARIANCES).filter(y, u)
     sampled = cc.SampledModel(plant, plant.dt)
     model = {"exact": cc.discretise(plant), "integrated": plant, "sampled": sampled}[kind]
-    extended = CubatureKalmanFilter(model, plant, design=p, **COVARIANCES).filter(y, u)
+    cubature = CubatureKalmanFilter(model, plant, design=p, **COVARIANCES).filter(y, u)
     exact = 1e-9 if kind == "exact" else 1e-5  # Runge–Kutta
-    np.testing.assert_allclose(extended.means, linear.means, rtol=exact, atol=exact)
-    np.testing.assert_allclose(extended.innovations, linear.innovations, rtol=exact, atol=exact)
+    np.testing.assert_allclose(cubature.means, linear.means, rtol=exact, atol=exact)
+    np.testing.assert_allclose(cubature.innovations, linear.innovations, rtol=exact, atol=exact)
     for i in range(3):
-        np.testing.assert_allclose(extended.covariances[i], linear.covariances, rtol=exact, atol=exact**2)
+        np.testing.assert_allclose(cubature.covariances[i], linear.covariances, rtol=exact, atol=exact**2)
         np.testing.assert_allclose(
-            extended.innovation_covariances[i], linear.innovation_covariances, rtol=exact, atol=exact**2
+            cubature.innovation_covariances[i], linear.innovation_covariances, rtol=exact, atol=exact**2
         )
 
 
@@ -60,20 +60,25 @@ def test_a_constant_term_of_a_linear_model_is_predicted():
 
 
 def by_hand(step, h, W, V, x, cov, y, u):
-    """The filter of the textbook for one run, all derivatives by differences."""
+    """The filter of the textbook for one run: cubature points and their covariances."""
 
-    def slope(f, at):
-        return np.array([(f(at + d) - f(at - d)) / 2e-6 for d in 1e-6 * np.eye(len(at))]).T
+    def moments(f, x, cov):
+        root = np.sqrt(len(x)) * np.linalg.cholesky(cov)
+        points = x + np.vstack([root.T, -root.T])
+        values = np.array([f(point) for point in points])
+        away, mean = points - x, values.mean(axis=0)
+        left = values - mean
+        return mean, left.T @ left / len(points), away.T @ left / len(points)
 
     means = []
     last = np.zeros(u.shape[1])
     for k in range(len(y)):
         if k:
-            F = slope(lambda z: step(z, last), x)  # noqa: B023
-            x, cov = step(x, last), F @ cov @ F.T + W
-        H = slope(h, x)
-        K = cov @ H.T @ np.linalg.inv(H @ cov @ H.T + V)
-        x, cov = x + K @ (y[k] - h(x)), (np.eye(len(x)) - K @ H) @ cov
+            x, cov, _ = moments(lambda z: step(z, last), x, cov)  # noqa: B023
+            cov = cov + W
+        expected, S, both = moments(h, x, cov)
+        K = both @ np.linalg.inv(S + V)
+        x, cov = x + K @ (y[k] - expected), cov - K @ (S + V) @ K.T
         means.append(x)
         last = u[k]
     return np.array(means)
@@ -119,7 +124,7 @@ def test_it_is_the_filter_of_the_textbook(output):
             lambda x, last: np.asarray(step(x, last, np.zeros(PENDULUM.nw), P)).ravel(), polar,
             1e-8 * np.eye(4), 1e-4 * np.eye(2), np.zeros(4), 0.05**2 * np.eye(4), y[i], u[i],
         )  # fmt: skip
-        np.testing.assert_allclose(found.means[i], means, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(found.means[i], means, rtol=1e-8, atol=1e-10)
 
 
 def test_all_runs_at_once_are_the_runs_one_by_one():
@@ -141,7 +146,7 @@ def test_errors_are_as_large_as_is_stated():
     assert np.abs(error).mean() < 0.3 * np.abs(states[:, -1] - blind.means[:, -1]).mean()
 
 
-def test_a_function_is_differentiated_in_any_units():
+def test_units_change_nothing():
     _, y, u = a_record(4)
     units = np.array([1e4, 1e-4, 1e3, 1e-3])
     x, u_, w, p = PENDULUM.x, PENDULUM.u, PENDULUM.w, PENDULUM.p
@@ -164,7 +169,7 @@ def test_a_function_of_input_and_design_is_given_them():
 
     y, u = np.ones((1, 3, 1)), np.arange(3.0).reshape(1, 3, 1)
     CubatureKalmanFilter(plant, h, W=np.ones(4), V=[1.0], P0=np.ones(4), design=p).filter(y, u)
-    np.testing.assert_array_equal(np.unique([u for u, _ in heard if len(u) == 1]), [0.0, 1.0])
+    np.testing.assert_array_equal(np.unique(np.concatenate([u for u, _ in heard])), [0.0, 1.0])
     np.testing.assert_array_equal(heard[-1][1], p)
 
 
@@ -172,6 +177,97 @@ def test_states_that_are_known_exactly_are_not_moved():
     found = CubatureKalmanFilter(PENDULUM, polar, W=np.zeros(4), V=[1.0, 1.0], P0=np.zeros(4), design=P)
     y, u = np.ones((5, 2)), np.zeros((5, 1))
     np.testing.assert_array_equal(found.filter(y, u).means, np.zeros((1, 5, 4)))
+
+
+def test_a_disturbance_of_a_linear_plant_is_that_of_the_kalman_filter(servo):
+    plant, y, u = servo
+    p = plant.design.centre
+    model = cc.discretise(plant)
+    A, B, E = model.matrices(p)
+    mean, S = np.full(plant.nw, 0.3), 0.04 * np.eye(plant.nw)
+    told = {"V": [1e-2, 0.1], "P0": np.zeros(2), "x0": [0.1, -0.2]}
+    linear = KalmanFilter(A, B, [[1, 0], [0, 2]], D=[[0.3], [0]], W=E @ S @ E.T, c=E @ mean, steady=False, **told)
+    cubature = CubatureKalmanFilter(model, plant, design=p, W=np.zeros(2), disturbance=(mean, S), **told)
+    np.testing.assert_allclose(cubature.filter(y, u).means, linear.filter(y, u).means, rtol=1e-10, atol=1e-10)
+
+
+def pendulum(known=0):
+    """A pendulum, beside so many states that stay where they are and change its gravity."""
+    x, u, w = ca.SX.sym("x", 2 + known), ca.SX.sym("u"), ca.SX.sym("w")
+    gravity = ca.sum1(x[2:]) if known else 2.0
+    rates = [x[1], -gravity * ca.sin(x[0]) + u + w, *[0] * known]
+    return cc.Plant(x, u, w, None, rates, cc.DesignSpace([], [], []), 0.1, outputs=[ca.sin(x[0])])
+
+
+def test_what_is_known_exactly_is_no_state():
+    rng = np.random.default_rng(0)
+    y, u = 0.5 * rng.standard_normal((3, STEPS, 1)), rng.standard_normal((3, STEPS, 1))
+    told = {"V": [0.01], "disturbance": ([0.1], [0.3])}
+    own = CubatureKalmanFilter(pendulum(), W=np.zeros(2), P0=[1.0, 0.0], x0=[1.0, 0.0], **told).filter(y, u)
+    more = CubatureKalmanFilter(pendulum(2), W=np.zeros(4), P0=[1.0, 0, 0, 0], x0=[1.0, 0.0, 3.0, -1.0], **told).filter(
+        y, u
+    )
+    np.testing.assert_allclose(more.means[..., :2], own.means, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(more.means[..., 2:], np.broadcast_to([3.0, -1.0], (3, STEPS, 2)), rtol=1e-14)
+    np.testing.assert_allclose(more.covariances[..., :2, :2], own.covariances, rtol=1e-8, atol=1e-14)
+
+
+@pytest.mark.parametrize("units", [[1.0, 1.0], [1e-6, 1e6]])
+def test_a_start_on_a_line_stays_symmetric_and_finite(units):
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    first, second = x[0] / units[0], x[1] / units[1]
+    plant = cc.Plant(x, u, None, None, [units[0] * second, units[1] * (u - 2 * ca.sin(first))],
+                     cc.DesignSpace([], [], []), 0.1, outputs=[ca.sin(first)])  # fmt: skip
+    along = np.array(units)
+    found = CubatureKalmanFilter(plant, W=np.zeros(2), V=[1e-8], P0=np.outer(along, along)).filter(
+        np.full((STEPS, 1), 0.3), np.zeros((STEPS, 1))
+    )
+    one = CubatureKalmanFilter(
+        cc.Plant(x, u, None, None, [x[1], u - 2 * ca.sin(x[0])], cc.DesignSpace([], [], []), 0.1,
+                 outputs=[ca.sin(x[0])]), W=np.zeros(2), V=[1e-8], P0=np.ones((2, 2)),
+    ).filter(np.full((STEPS, 1), 0.3), np.zeros((STEPS, 1)))  # fmt: skip
+    np.testing.assert_allclose(found.means / along, one.means, rtol=1e-6, atol=1e-9)
+    variances = np.diagonal(one.covariances, axis1=-2, axis2=-1)
+    assert np.isfinite(one.covariances).all()
+    assert (variances > -1e-13).all()
+
+
+def rubbing():
+    """Mass on a spring with dry friction, whose acceleration and position are measured."""
+    x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
+    force = -x[0] - 0.3 * x[1] - ca.tanh(x[1] / 0.02) + u
+    return cc.Plant(x, u, w, None, [x[1], force + w], cc.DesignSpace([], [], []), 0.02, substeps=4,
+                    outputs=[force, x[0]])  # fmt: skip
+
+
+@pytest.mark.check
+def test_dry_friction_is_estimated_as_well_as_by_particles():
+    plant, rng, runs, steps, particles = rubbing(), np.random.default_rng(0), 6, 100, 10_000
+    V, S, start = np.array([0.04, 1e-4]), 4.0, np.array([0.3, 0.5])
+    w = np.sqrt(S) * rng.standard_normal((runs, steps, 1))
+    u = np.repeat(2 * rng.standard_normal((runs, steps // 20, 1)), 20, axis=1)
+    rows, move = [start * rng.standard_normal((runs, 2))], plant.stepper(np.zeros(0), batch=runs)
+    for k in range(steps - 1):
+        rows.append(move(rows[-1], u[:, k], w[:, k]))
+    x = np.stack(rows, axis=1)
+    last = np.concatenate([np.zeros((runs, 1, 1)), u[:, :-1]], axis=1)
+    y = np.stack([plant.observe(x[:, k], last[:, k]) for k in range(steps)], axis=1)
+    y = y + np.sqrt(V) * rng.standard_normal(y.shape)
+    estimator = CubatureKalmanFilter(plant, W=np.zeros(2), V=V, P0=start**2, disturbance=([0.0], [S]))
+    means = estimator.filter(y, u).means
+    best, step = np.empty_like(means), plant.stepper(np.zeros(0), batch=particles)
+    for i in range(runs):
+        at = start * rng.standard_normal((particles, 2))
+        for k in range(steps):
+            held = np.repeat(last[i, k : k + 1], particles, axis=0)
+            at = at if k == 0 else step(at, held, np.sqrt(S) * rng.standard_normal((particles, 1)))
+            fit = -0.5 * ((y[i, k] - plant.observe(at, held)) ** 2 / V).sum(axis=1)
+            weight = np.exp(fit - fit.max())
+            weight /= weight.sum()
+            best[i, k] = weight @ at
+            at = at[rng.choice(particles, particles, p=weight)]
+    mine, theirs = (np.sqrt(((found - x) ** 2).mean(axis=(0, 1))) for found in (means, best))
+    assert (mine < 1.15 * theirs).all()
 
 
 def test_implicit_steps_are_filtered_too():
@@ -211,6 +307,8 @@ def test_copies_and_pickles_do_the_same():
         ({"W": -np.ones(4)}, "W: got a negative variance"),
         ({"P0": None}, "P0: got nothing"),
         ({"x0": [0.0]}, "x0: got shape"),
+        ({"disturbance": 0.1}, r"disturbance: got 0.1, expected a mean \(1,\) and a covariance \(1, 1\)"),
+        ({"disturbance": ([0.0], -np.ones(1))}, "disturbance: got a negative variance"),
     ],
 )
 def test_what_makes_no_filter_is_named(changed, message):

@@ -1,4 +1,4 @@
-"""What an extended Kalman filter cannot see is refused or said when it is made, and a rest up to rounding is a rest."""
+"""What a cubature Kalman filter cannot see is refused or said when it is made, and a rest up to rounding is a rest."""
 
 import casadi as ca
 import numpy as np
