@@ -27,8 +27,8 @@ from semi_active_damper import SPRING, clipped_lqr, problem as car
 
 from ccdtools import (
     CoDesignProblem,
-    DesignSpace,
     CubatureKalmanFilter,
+    DesignSpace,
     Gaussian,
     KalmanFilter,
     LearnedPolicy,

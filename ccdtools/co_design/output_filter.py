@@ -19,9 +19,9 @@ from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.controllers.history import History
 from ccdtools.controllers.observed import Observed
 from ccdtools.estimation.belief import Belief
-from ccdtools.estimation.regression import next_belief
 from ccdtools.estimation.cubature import CubatureKalmanFilter
 from ccdtools.estimation.outputs import linear_outputs
+from ccdtools.estimation.regression import next_belief
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.pathwise_step import pathwise
@@ -61,11 +61,10 @@ def measured_problem(problem: CoDesignProblem, history: int | None) -> CoDesignP
 def filter_problem(problem: CoDesignProblem) -> CoDesignProblem:
     """Problem whose policies see a Kalman filter's estimate.
 
-    The filter is that of `estimator_at`. The state is
-    (x, 1, P, x̂), of which x̂ alone is not `hidden`; P is the lower triangle of the covariance, by columns. The
-    disturbance is (w, v). The 1 stands at mean and covariance of w, so that the model rests at 0. What is measured at the
-    start is that of the design in the middle of the box. Where a step or an output is no expression, see
-    `history_problem`, the problem's model is a simulator, too.
+    The filter is that of `estimator_at`. The state is (x, 1, P, x̂), of which x̂ alone is not `hidden`; P is the lower
+    triangle of the covariance, by columns. The disturbance is (w, v). The 1 stands at mean and covariance of w, so that
+    the model rests at 0. What is measured at the start is that of the design in the middle of the box. Where a step or
+    an output is no expression, see `history_problem`, the problem's model is a simulator, too.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ class CubatureKalmanFilter(Filter):
         w = ca.SX.sym("w", model.nw)
         timing = {"dt": model.dt, "continuous": False, "outputs": self._seen(x, u)}
         if isinstance(model, LinearModel):
-            return settled_plant(x, u, w, self._linear_step(model)(x, u, w), **timing)
+            return settled_plant(x, u, w, self._step(x, u, w), **timing)
         timing |= {"continuous": plant.continuous, "substeps": model.substeps}
         return settled_plant(x, u, w, plant.right_hand_side(x, u, w, p), **timing)
 
@@ -165,11 +165,18 @@ class CubatureKalmanFilter(Filter):
         stated = self.output.output
         return stated.output(x, u, self.design) if isinstance(stated, Plant) else ca.DM(stated) @ x
 
-    def _linear_step(self, model: LinearModel) -> Callable[[Any, Any, Any], Any]:
-        """Step of expressions at the design."""
-        A, B, E = map(ca.DM, model.matrices(self.design))
-        constant = ca.DM(model.constant(self.design))
-        return lambda x, u, w: A @ x + B @ u + E @ w + constant
+    @cached_property
+    def _step(self) -> Callable[[Any, Any, Any], Any]:
+        """Step (x, u, w) → x⁺ of expressions at the design."""
+        model = self.model
+        if isinstance(model, LinearModel):
+            A, B, E = map(ca.DM, model.matrices(self.design))
+            constant = ca.DM(model.constant(self.design))
+            return lambda x, u, w: A @ x + B @ u + E @ w + constant
+        whole = model.step
+        with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
+            whole = whole.expand()
+        return lambda x, u, w: whole(x, u, w, self.design)
 
     def to_dict(self) -> dict[str, Any]:
         """Filter as plain values for `from_dict`; raises as `expressed`."""
@@ -208,15 +215,8 @@ class CubatureKalmanFilter(Filter):
     def _f(self) -> ca.Function:
         """Function (x, P, u) → x⁺ over a belief, its slope and what that misses."""
         x, P, u = self._symbols
-        if isinstance(self.model, LinearModel):
-            step = self._linear_step(self.model)
-        else:
-            whole = self.model.step
-            with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
-                whole = whole.expand()
-            step = lambda x, u, w: whole(x, u, w, self.design)
         told = tuple(map(ca.DM, self.disturbance))
-        return _function(self._symbols, regressed_step(lambda x, w: step(x, u, w), x, P, told))
+        return _function(self._symbols, regressed_step(lambda x, w: self._step(x, u, w), x, P, told))
 
     @cached_property
     def _h(self) -> Output:

@@ -1,4 +1,4 @@
-"""The cubature Kalman filter: the linear one of linear models, that of the textbook of others, and consistent errors."""
+"""The cubature Kalman filter: the linear one of linear models, else that of the textbook, and consistent errors."""
 
 import copy
 import pickle
