@@ -5,8 +5,8 @@
 Each plant moves with the noise that the filters are told, and a law of the state, or of an estimate, holds it. Of the
 states it prints how much more other filters err than the cubature one on the same runs, root mean squares over time
 and states, each in units of its usual error by the cubature filter and at most ten; of the laws behind the filters, how
-much less they cost than behind the extended one, at most ten times the usual. Means with 95 % intervals over runs, in %. Lost are runs with more
-than five units in their second half.
+much less they cost than behind the extended one, at most ten times the usual. Means with 95 % intervals over runs, in
+%. Lost are runs with more than five units in their second half.
 """
 
 from __future__ import annotations

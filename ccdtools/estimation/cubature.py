@@ -215,8 +215,8 @@ class CubatureKalmanFilter(Filter):
     def _f(self) -> ca.Function:
         """Function (x, P, u) → x⁺ over a belief, its slope and what that misses."""
         x, P, u = self._symbols
-        told = tuple(map(ca.DM, self.disturbance))
-        return _function(self._symbols, regressed_step(lambda x, w: self._step(x, u, w), x, P, told))
+        mean, S = map(ca.DM, self.disturbance)
+        return _function(self._symbols, regressed_step(lambda x, w: self._step(x, u, w), x, P, (mean, S)))
 
     @cached_property
     def _h(self) -> Output:
@@ -255,7 +255,7 @@ def _columns(belief: Belief) -> Array:
     return belief.covariance.swapaxes(0, 1).reshape(belief.mean.shape[1], -1)
 
 
-def _rows(parts: Any, n: int) -> Any:
+def _rows(parts: Any, n: int) -> Regressed:
     """Regressions beside each other as arrays (n, m), (n, m, nx) and (n, m, m)."""
     mean, slope, missed = (np.asarray(part, dtype=float).reshape(part.shape[0], n, -1).swapaxes(0, 1) for part in parts)
     return frozen(mean[:, :, 0]), slope, missed
