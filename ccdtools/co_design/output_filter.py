@@ -21,7 +21,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.estimation.belief import Belief
 from ccdtools.estimation.cubature import CubatureKalmanFilter
 from ccdtools.estimation.outputs import linear_outputs
-from ccdtools.estimation.regression import next_belief
+from ccdtools.estimation.regression import predicted, updated
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.pathwise_step import pathwise
@@ -198,7 +198,9 @@ def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) 
     disturbance, noise = ca.vertsplit(w, [0, nw, nw + len(V)])
     after = step(x, u, disturbance)
     told = one * ca.DM(problem.mean_disturbance), one * ca.DM(problem.moments[2])
-    mean, P = next_belief(lambda x, w: step(x, u, w), lambda x: seen(x, u), belief, seen(after, u) + noise, told, V)
+    mean, P, _ = updated(
+        lambda x: seen(x, u), *predicted(lambda x, w: step(x, u, w), *belief, told), seen(after, u) + noise, ca.DM(V)
+    )
     triangle = [P[i, j] for j in range(nx) for i in range(j, nx)]
     moved = ca.cse(ca.vertcat(after, one, *triangle, mean))
     plain = ca.substitute(moved, M, ca.reshape(model.function.expand()(p), M.shape))

@@ -47,30 +47,7 @@ static const real output_noise[NY * NY] = @V@;
 static const real drift[NT] = @c@; /* of a sample */
 static const real first_estimate[NT] = @x0@;
 static const real first_covariance[NT][NT] = @P0@;
-@held@@root@@advance@@observe@
-/* covariances (m, NT) and (m, m) of a function of a state with it, and with itself, from slope (m, NT) and noise */
-static void spread(int m, real P[NT][NT], const real *slope, const real *missed, const real *noise, real *with_state,
-                   real *own)
-{
-    int i, j, k;
-    for (i = 0; i < m; i++) {
-        for (j = 0; j < NT; j++) {
-            with_state[i * NT + j] = 0;
-            for (k = 0; k < NT; k++) {
-                with_state[i * NT + j] += slope[i * NT + k] * P[k][j];
-            }
-        }
-        for (j = 0; j <= i; j++) {
-            real sum = missed[i * m + j] + noise[i * m + j];
-            for (k = 0; k < NT; k++) {
-                sum += with_state[i * NT + k] * slope[j * NT + k];
-            }
-            own[i * m + j] = sum;
-            own[j * m + i] = sum;
-        }
-    }
-}
-
+@tools@@advance@@observe@
 void @name@_reset(@name@_state *state)
 {
     int i, j;
@@ -85,28 +62,29 @@ void @name@_reset(@name@_state *state)
 
 static void predict(@name@_state *state, const real u_prev[NU])
 {
-    real after[NT], slope[NT * NT], missed[NT * NT], with_state[NT * NT], own[NT * NT];
+    real after[NT], with_state[NT * NT], own[NT * NT];
     int i, j;
-    advance(state->theta, state->covariance, u_prev, after, slope, missed);
-    spread(NT, state->covariance, slope, missed, process_noise, with_state, own);
+    advance(state->theta, state->covariance, u_prev, after, with_state, own);
     for (i = 0; i < NT; i++) {
         state->theta[i] = after[i] + drift[i];
         for (j = 0; j < NT; j++) {
-            state->covariance[i][j] = own[i * NT + j];
+            state->covariance[i][j] = own[i * NT + j] + process_noise[i * NT + j];
         }
     }
 }
 
 int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], real u[NU])
 {
-    real seen[NY], slope[NY * NT], missed[NY * NY], with_state[NY * NT], own[NY * NY];
+    real seen[NY], with_state[NY * NT], own[NY * NY];
     int i, j, k;
     if (state->begun) {
         predict(state, u_prev);
     }
     state->begun = 1;
-    observe(state->theta, state->covariance, u_prev, seen, slope, missed);
-    spread(NY, state->covariance, slope, missed, output_noise, with_state, own);
+    observe(state->theta, state->covariance, u_prev, seen, with_state, own);
+    for (k = 0; k < NY * NY; k++) {
+        own[k] += output_noise[k];
+    }
     for (k = 0; k < NY; k++) { /* outputs one by one, given those before */
         const real *column = with_state + k * NT, *row = own + k * NY;
         const real rest = (y[k] - seen[k]) / row[k];
@@ -132,8 +110,8 @@ int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], re
 """
 
 ROOT = """
-/* lower root of a covariance, with columns of zeros along what is known; returns how many others there are */
-static int root_of(int n, const real *P, real *root)
+/* lower root of a covariance, 0 along what is known; returns how many other columns there are, at least one */
+static real root_of(int n, const real *P, real *root)
 {
     int i, j, k, count = 0;
     for (j = 0; j < n; j++) {
@@ -148,7 +126,7 @@ static int root_of(int n, const real *P, real *root)
         }
         count += pivot > 0;
     }
-    return count;
+    return (real)(count > 0 ? count : 1);
 }
 """
 
@@ -184,21 +162,19 @@ static void observe_of(const real z[NT], const real u[NU], real value[NY])
 """
 
 CUBATURE = """
-/* mean of a function over a belief, its slope by least squares over cubature points, and the covariance beside it */
-static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real slope[@m@ * NT],
-                real missed[@m@ * @m@])
+/* mean of a function over cubature points of a belief, and its covariances with the state and with itself */
+static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real with_state[@m@ * NT],
+                real own[@m@ * @m@])
 {
-    real spread_of[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], H[@m@][@n@], up[@n@][@m@], down[@n@][@m@];
-    int i, j, k, unknown;
-    real count, far;
+    real both[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], up[@n@][@m@], down[@n@][@m@], count, far;
+    int i, j, k;
     for (i = 0; i < @n@; i++) {
         centre[i] = i < NT ? x[i] : held[i - NT];
         for (j = 0; j < @n@; j++) {
-            spread_of[i * @n@ + j] = i < NT && j < NT ? P[i][j] : i < NT || j < NT ? 0 : held_noise[i - NT][j - NT];
+            both[i * @n@ + j] = i < NT && j < NT ? P[i][j] : i < NT || j < NT ? 0 : held_noise[i - NT][j - NT];
         }
     }
-    unknown = root_of(@n@, spread_of, root);
-    count = (real)(unknown > 0 ? unknown : 1);
+    count = root_of(@n@, both, root);
     far = @sqrt@(count);
     for (j = 0; j < @n@; j++) {
         for (i = 0; i < @n@; i++) {
@@ -215,41 +191,47 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
         for (j = 0; j < @n@; j++) {
             mean[i] += root[j * @n@ + j] > 0 ? ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count : 0;
         }
-        for (j = @n@ - 1; j >= 0; j--) {
-            real rest = (up[j][i] - down[j][i]) / (2 * far);
-            for (k = j + 1; k < @n@; k++) {
-                rest -= H[i][k] * root[k * @n@ + j];
+        for (k = 0; k < NT; k++) {
+            with_state[i * NT + k] = 0;
+            for (j = 0; j < @n@; j++) {
+                with_state[i * NT + k] += (up[j][i] - down[j][i]) / (2 * far) * root[k * @n@ + j];
             }
-            H[i][j] = root[j * @n@ + j] > 0 ? rest / root[j * @n@ + j] : 0;
         }
-        for (j = 0; j < NT; j++) {
-            slope[i * NT + j] = H[i][j];
-        }
-    }
-    for (i = 0; i < @m@; i++) {
-        for (k = 0; k < @m@; k++) {
+        for (k = 0; k <= i; k++) {
             real sum = 0;
             for (j = 0; j < @n@; j++) {
-                const real left = (up[j][i] + down[j][i]) / 2 - mean[i], other = (up[j][k] + down[j][k]) / 2 - mean[k];
-                int l;
-                sum += root[j * @n@ + j] > 0 ? left * other / count : 0;
-                for (l = NT; j >= NT && l < @n@; l++) {
-                    sum += H[i][j] * held_noise[j - NT][l - NT] * H[k][l];
-                }
+                const real even = (up[j][i] + down[j][i]) / 2 - mean[i], other = (up[j][k] + down[j][k]) / 2 - mean[k];
+                const real odd = (up[j][i] - down[j][i]) * (up[j][k] - down[j][k]) / 4;
+                sum += root[j * @n@ + j] > 0 ? (odd + even * other) / count : 0;
             }
-            missed[i * @m@ + k] = sum;
+            own[i * @m@ + k] = own[k * @m@ + i] = sum;
         }
     }
 }
 """
 
 LINEAR = """
-/* value of a linear function, its slope, and the covariance beside it */
-static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real slope[@m@ * NT],
-                real missed[@m@ * @m@])
+/* value of a linear function of a belief, and its covariances with the state and with itself */
+static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real with_state[@m@ * NT],
+                real own[@m@ * @m@])
 {
+    real slope[@m@ * NT];
+    int i, j, k;
 @body@
-    (void)P;
+    for (i = 0; i < @m@; i++) {
+        for (j = 0; j < NT; j++) {
+            with_state[i * NT + j] = 0;
+            for (k = 0; k < NT; k++) {
+                with_state[i * NT + j] += slope[i * NT + k] * P[k][j];
+            }
+        }
+        for (j = 0; j <= i; j++) {
+            for (k = 0; k < NT; k++) {
+                own[i * @m@ + j] += with_state[i * NT + k] * slope[j * NT + k];
+            }
+            own[j * @m@ + i] = own[i * @m@ + j];
+        }
+    }
 }
 """
 
@@ -264,9 +246,7 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     P0 = start.covariance.reshape(plant.nx, plant.nx)
     room = np.zeros((max(nw, 1), max(nw, 1)))  # C has no empty tables
     room[:nw, :nw] = S
-    tables = {
-        "W": estimator.W.ravel(), "V": estimator.V.ravel(), "c": estimator.c, "x0": start.mean[0], "P0": P0,
-    }  # fmt: skip
+    tables = {"W": estimator.W.ravel(), "V": estimator.V.ravel(), "c": estimator.c, "x0": start.mean[0], "P0": P0}
     one = {"sqrt": "sqrtf" if scalar == "float" else "sqrt", "parts": step.substeps}
     each = {
         "advance": ("NT", "NZ", z, step.function(x, u, w, none), SAMPLE, step.substep(x, u, w, none)),
@@ -279,21 +259,16 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
             text, body = template + CUBATURE, _body([of, u], {"value": value}, ["z[{}]", "u[{}]"], scalar)
         else:
             H, G = ca.horzsplit(slope, [0, plant.nx, slope.shape[1]])
-            results = {
-                "mean": ca.substitute(whole, w, ca.DM(mean)),
-                "slope": H.T,
-                "missed": G @ ca.DM(S)[: G.shape[1], : G.shape[1]] @ G.T,
-            }
+            own = G @ ca.DM(S)[: G.shape[1], : G.shape[1]] @ G.T
+            results = {"mean": ca.substitute(whole, w, ca.DM(mean)), "slope": H.T, "own": own}
             text, body = LINEAR, _body([x, u], results, ["x[{}]", "u[{}]"], scalar)
         found[f] = fill(text, one | {"f": f, "m": m, "n": n, "body": body})
     rounding = ROUNDED_SUM / np.finfo(float).eps * np.finfo(np.float32 if scalar == "float" else float).eps
-    root = fill(ROOT, one | {"rounding": real(rounding, scalar)}) if "root_of" in "".join(found.values()) else ""
-    known = fill(
-        HELD, {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
-    )
-    return {name: table(values, scalar) for name, values in tables.items()} | found | {
-        "ny": plant.ny, "nw": nw, "root": root, "held": known if root else "",
-    }  # fmt: skip
+    held = {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
+    needed = HELD + ROOT if "root_of" in "".join(found.values()) else ""
+    tools = fill(needed, one | held | {"rounding": real(rounding, scalar)})
+    texts = {name: table(values, scalar) for name, values in tables.items()}
+    return texts | found | {"ny": plant.ny, "nw": nw, "tools": tools}
 
 
 def _number(value: float, scalar: str) -> str:

@@ -12,7 +12,6 @@ from typing import Any
 
 import casadi as ca
 
-from ccdtools.arrays import Array
 from mpc.tolerances import ROUNDED_SUM
 
 Regressed = tuple[Any, Any, Any]  # mean (m,), slope (m, n), covariance (m, m) that the slope misses
@@ -107,26 +106,3 @@ def updated(output: Callable[[Any], Any], x: Any, P: Any, y: Any, V: Any) -> tup
         gain = spread[:, i] / spread[i, i]
         known, spread = known - gain * known[i], spread - gain @ spread[i, :]
     return known[:n], spread[:n, :n], told
-
-
-def next_belief(
-    step: Callable[[Any, Any], Any], output: Callable[[Any], Any], belief: tuple[Any, Any], y: Any,
-    disturbance: tuple[Any, Any], V: Array,
-) -> tuple[Any, Any]:  # fmt: skip
-    """Estimate (nx,) and covariance (nx, nx) after a step and the output that follows it.
-
-    They are what `predict` and `update` of a `CubatureKalmanFilter` give.
-
-    Parameters
-    ----------
-    step, output : callable
-        (x, w) → x⁺ and x → y, of expressions.
-    belief, disturbance : (n,) and (n, n) expressions
-        Mean and covariance of x, and of w.
-    y : (ny,) expression
-        What is measured after the step.
-    V : (ny, ny) array
-        Covariance of the measurement noise, positive definite.
-    """
-    x, P, _ = updated(output, *predicted(step, *belief, disturbance), y, V)
-    return x, P
