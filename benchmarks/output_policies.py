@@ -6,7 +6,7 @@ Every other state is measured, with noise of a fiftieth of its range. On linear 
 Riccati equations, and the mean and spread of the starts) is the optimum but for the limits; the policy imitates it from
 the last 16 outputs and inputs. On the others LQG is that of the linearisation. The expert sees the state of a pendulum
 held upright from afar (LQR) and of a mass that bounces off a wall (PPO), the policy does not; that of a quarter car
-with a damper between two bounds is the law of its engineers, clipped LQR, behind an extended Kalman filter. Linear
+with a damper between two bounds is the law of its engineers, clipped LQR, behind a cubature Kalman filter. Linear
 plants have MPC behind the filter of LQG, too. Gains are in pairs on 2000 fresh runs.
 """
 
@@ -27,8 +27,8 @@ from semi_active_damper import SPRING, clipped_lqr, problem as car
 
 from ccdtools import (
     CoDesignProblem,
+    CubatureKalmanFilter,
     DesignSpace,
-    ExtendedKalmanFilter,
     Gaussian,
     KalmanFilter,
     LearnedPolicy,
@@ -118,7 +118,7 @@ def damper() -> Measured:
     case = measured(problem, p, 12)
     E, scale = problem.model.matrices(np.array(p))[2], np.ravel(problem.state_scale)
     noise = {"W": 0.25**2 * E @ E.T + np.diag((1e-6 * scale) ** 2), "V": case.noise**2, "P0": (1e-3 * scale) ** 2}
-    law = Observed(clipped_lqr(SPRING), ExtendedKalmanFilter(problem.model, case.C, design=p, **noise))
+    law = Observed(clipped_lqr(SPRING), CubatureKalmanFilter(problem.model, case.C, design=p, **noise))
     return replace(case, expert=lambda seed: law)
 
 

@@ -2,7 +2,7 @@
 
     python benchmarks/semi_active_sensors.py [--seeds 3] [--iterations 60] [--drives 100]
 
-Accelerometers on body and wheel and the travel are measured, and every law stands behind an extended Kalman filter. The
+Accelerometers on body and wheel and the travel are measured, and every law stands behind a cubature Kalman filter. The
 policy is learned on the states of the nominal car. Four drives of the real car behind the nominal filter, two of each
 driver, tell friction, asymmetry, hardening and stops (`fit_plant`); its filter is the same but for these. A row is the
 cost of a sample on fresh drives of the real car, and how much less it is than in the row above: paired over drives,

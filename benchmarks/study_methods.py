@@ -53,7 +53,7 @@ def designed(method: Any) -> Run:
 
 
 def planned(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
-    """Nonlinear MPC at the design of nested LQR, or LQG, then behind a filter that is extended where it need be."""
+    """Nonlinear MPC at the design of nested LQR, or LQG, then behind a filter by cubature where it need be."""
     inner = "lqr" if problem.measurement is None else "lqg"
     found = cc.codesign(problem, method=cc.Nested(inner), rng=np.random.default_rng(seed), design=design)
     planner = EXPERTS["nonlinear MPC"](problem, found.design)

@@ -19,9 +19,9 @@ from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.controllers.history import History
 from ccdtools.controllers.observed import Observed
 from ccdtools.estimation.belief import Belief
-from ccdtools.estimation.expressions import next_belief
-from ccdtools.estimation.extended import ExtendedKalmanFilter
+from ccdtools.estimation.cubature import CubatureKalmanFilter
 from ccdtools.estimation.outputs import linear_outputs
+from ccdtools.estimation.regression import predicted, updated
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.pathwise_step import pathwise
@@ -35,15 +35,15 @@ from ccdtools_ground.door import as_instance
 def estimator_at(problem: CoDesignProblem, p: Array) -> Any:
     """Kalman filter of a problem's sensors at a design (np,).
 
-    It is extended, linearised about its estimate, where the model or its outputs are not linear; linearised at rest of
-    a simulator, which has no expressions.
+    It goes by cubature points where the model or its outputs are not linear; linearised at rest of a simulator, which
+    has no expressions.
     """
     linear, output = kalman_filter(problem, p), problem.measurement.output
     exact = isinstance(output, np.ndarray) or (isinstance(output, Plant) and linear_outputs(output))
     if not isinstance(problem.model, SampledModel | LinearModel) or (exact and isinstance(problem.model, LinearModel)):
         return linear
-    start = {"P0": linear.P0, "x0": linear.x0, "c": linear.c}
-    return ExtendedKalmanFilter(problem.model, problem.measurement, W=linear.W, V=linear.V, design=p, **start)
+    told = {"disturbance": (problem.mean_disturbance, problem.moments[2]), "P0": linear.P0, "x0": linear.x0}
+    return CubatureKalmanFilter(problem.model, problem.measurement, W=0 * linear.c, V=linear.V, design=p, **told)
 
 
 def memory_at(problem: CoDesignProblem, p: Array, history: int | None) -> Callable[[Any], Any]:
@@ -61,11 +61,10 @@ def measured_problem(problem: CoDesignProblem, history: int | None) -> CoDesignP
 def filter_problem(problem: CoDesignProblem) -> CoDesignProblem:
     """Problem whose policies see a Kalman filter's estimate.
 
-    The filter is that of the design: extended where the model has expressions, else linearised at rest. The state is
-    (x, 1, P, x̂), of which x̂ alone is not `hidden`; P is the lower triangle of the covariance, by columns. The
-    disturbance is (w, v). The 1 stands at W in P⁺ = F P Fᵀ + W, so that the model rests at 0. What is measured at the
-    start is that of the design in the middle of the box. Where a step or an output is no expression, see
-    `history_problem`, the problem's model is a simulator, too.
+    The filter is that of `estimator_at`. The state is (x, 1, P, x̂), of which x̂ alone is not `hidden`; P is the lower
+    triangle of the covariance, by columns. The disturbance is (w, v). The 1 stands at mean and covariance of w, so that
+    the model rests at 0. What is measured at the start is that of the design in the middle of the box. Where a step or
+    an output is no expression, see `history_problem`, the problem's model is a simulator, too.
 
     Parameters
     ----------
@@ -198,9 +197,10 @@ def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) 
     belief = mean, ca.tril2symm(ca.SX(ca.Sparsity.lower(nx), P))
     disturbance, noise = ca.vertsplit(w, [0, nw, nw + len(V)])
     after = step(x, u, disturbance)
-    W = one * (E @ ca.DM(problem.moments[2]) @ E.T)
-    still, drift = ca.DM.zeros(nw, 1), one * (E @ ca.DM(problem.mean_disturbance))
-    mean, P = next_belief(lambda x, u: step(x, u, still) + drift, seen, belief, u, seen(after, u) + noise, W, V)
+    told = one * ca.DM(problem.mean_disturbance), one * ca.DM(problem.moments[2])
+    mean, P, _ = updated(
+        lambda x: seen(x, u), *predicted(lambda x, w: step(x, u, w), *belief, told), seen(after, u) + noise, ca.DM(V)
+    )
     triangle = [P[i, j] for j in range(nx) for i in range(j, nx)]
     moved = ca.cse(ca.vertcat(after, one, *triangle, mean))
     plain = ca.substitute(moved, M, ca.reshape(model.function.expand()(p), M.shape))

@@ -1,4 +1,4 @@
-"""C99 source of a Kalman filter, extended or not, the memory of a policy of its estimate."""
+"""C99 source of a Kalman filter, by cubature points or linear, the memory of a policy of its estimate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.casadi_operations import c_operations
-from mpc.explicit.codegen.c_source import real, table
+from mpc.explicit.codegen.c_source import fill, real, table
+from mpc.tolerances import ROUNDED_SUM
 
 FILTER_HEADER = """
 #define @NAME@_NY @ny@ /* outputs */
@@ -39,25 +40,14 @@ FILTER = """
 #include <math.h>
 
 #define NY @NAME@_NY
-#define PARTS @parts@ /* of a sample */
+#define NZ (NT + @nw@) /* with the disturbance */
 
-static const real process_noise[NT][NT] = @W@;
+static const real process_noise[NT * NT] = @W@;
+static const real output_noise[NY * NY] = @V@;
 static const real drift[NT] = @c@; /* of a sample */
 static const real first_estimate[NT] = @x0@;
 static const real first_covariance[NT][NT] = @P0@;
-
-/* the state after a part of a sample, and its slope by the state, by rows */
-static void advance(const real x[NT], const real u[NU], real after[NT], real slope[NT * NT])
-{
-@advance@
-}
-
-/* outputs less what is expected of a state, in units of their noise; slope of the latter by the state, by rows */
-static void compare(const real x[NT], const real u[NU], const real y[NY], real rest[NY], real slope[NY * NT])
-{
-@compare@
-}
-
+@tools@@advance@@observe@
 void @name@_reset(@name@_state *state)
 {
     int i, j;
@@ -72,82 +62,213 @@ void @name@_reset(@name@_state *state)
 
 static void predict(@name@_state *state, const real u_prev[NU])
 {
-    real after[NT], slope[NT * NT], product[NT][NT];
-    int i, j, k, part;
-    for (part = 0; part < PARTS; part++) {
-        advance(state->theta, u_prev, after, slope);
-        for (i = 0; i < NT; i++) {
-            state->theta[i] = part < PARTS - 1 ? after[i] : after[i] + drift[i];
-            for (j = 0; j < NT; j++) {
-                product[i][j] = 0;
-                for (k = 0; k < NT; k++) {
-                    product[i][j] += slope[i * NT + k] * state->covariance[k][j];
-                }
-            }
-        }
-        for (i = 0; i < NT; i++) {
-            for (j = 0; j <= i; j++) {
-                real sum = part < PARTS - 1 ? 0 : process_noise[i][j];
-                for (k = 0; k < NT; k++) {
-                    sum += product[i][k] * slope[j * NT + k];
-                }
-                state->covariance[i][j] = sum;
-                state->covariance[j][i] = sum;
-            }
+    real after[NT], with_state[NT * NT], own[NT * NT];
+    int i, j;
+    advance(state->theta, state->covariance, u_prev, after, with_state, own);
+    for (i = 0; i < NT; i++) {
+        state->theta[i] = after[i] + drift[i];
+        for (j = 0; j < NT; j++) {
+            state->covariance[i][j] = own[i * NT + j] + process_noise[i * NT + j];
         }
     }
 }
 
 int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], real u[NU])
 {
-    real rest[NY], slope[NY * NT], moved[NT] = {0};
+    real seen[NY], with_state[NY * NT], own[NY * NY];
     int i, j, k;
     if (state->begun) {
         predict(state, u_prev);
     }
     state->begun = 1;
-    compare(state->theta, u_prev, y, rest, slope);
-    for (k = 0; k < NY; k++) { /* outputs of independent noise, one by one */
-        real missed = rest[k], variance = 1, column[NT];
-        for (i = 0; i < NT; i++) {
-            missed -= slope[k * NT + i] * moved[i];
-            column[i] = 0;
-            for (j = 0; j < NT; j++) {
-                column[i] += state->covariance[i][j] * slope[k * NT + j];
-            }
-            variance += slope[k * NT + i] * column[i];
-        }
-        for (i = 0; i < NT; i++) {
-            moved[i] += column[i] * missed / variance;
-            for (j = 0; j < NT; j++) {
-                state->covariance[i][j] -= column[i] * column[j] / variance;
-            }
-        }
+    observe(state->theta, state->covariance, u_prev, seen, with_state, own);
+    for (k = 0; k < NY * NY; k++) {
+        own[k] += output_noise[k];
     }
-    for (i = 0; i < NT; i++) {
-        state->theta[i] += moved[i];
+    for (k = 0; k < NY; k++) { /* outputs one by one, given those before */
+        const real *column = with_state + k * NT, *row = own + k * NY;
+        const real rest = (y[k] - seen[k]) / row[k];
+        for (i = 0; i < NT; i++) {
+            state->theta[i] += column[i] * rest;
+            for (j = 0; j < NT; j++) {
+                state->covariance[i][j] -= column[i] * column[j] / row[k];
+            }
+        }
+        for (i = k + 1; i < NY; i++) {
+            const real part = row[i] / row[k];
+            seen[i] += row[i] * rest;
+            for (j = 0; j < NT; j++) {
+                with_state[i * NT + j] -= part * column[j];
+            }
+            for (j = k + 1; j < NY; j++) {
+                own[i * NY + j] -= part * row[j];
+            }
+        }
     }
     return @name@_law(state->theta, u);
+}
+"""
+
+ROOT = """
+/* lower root of a covariance, 0 along what is known; returns how many other columns there are, at least one */
+static real root_of(int n, const real *P, real *root)
+{
+    int i, j, k, count = 0;
+    for (j = 0; j < n; j++) {
+        real pivot = 0;
+        for (i = 0; i < n; i++) {
+            real sum = i < j ? 0 : P[i * n + j];
+            for (k = 0; i >= j && k < j; k++) {
+                sum -= root[i * n + k] * root[j * n + k];
+            }
+            pivot = i == j && sum > @rounding@ * P[j * n + j] ? @sqrt@(sum) : pivot;
+            root[i * n + j] = pivot > 0 ? sum / pivot : 0;
+        }
+        count += pivot > 0;
+    }
+    return (real)(count > 0 ? count : 1);
+}
+"""
+
+HELD = """static const real held[@some@] = @mean@; /* mean of the disturbance, and its covariance */
+static const real held_noise[@some@][@some@] = @S@;
+"""
+
+SAMPLE = """
+static void part_of(const real z[NZ], const real u[NU], real value[NT])
+{
+@body@
+}
+
+static void advance_of(const real z[NZ], const real u[NU], real value[NT])
+{
+    real before[NZ];
+    int i, part;
+    part_of(z, u, value);
+    for (part = 1; part < @parts@; part++) {
+        for (i = 0; i < NZ; i++) {
+            before[i] = i < NT ? value[i] : z[i];
+        }
+        part_of(before, u, value);
+    }
+}
+"""
+
+OUTPUT = """
+static void observe_of(const real z[NT], const real u[NU], real value[NY])
+{
+@body@
+}
+"""
+
+CUBATURE = """
+/* mean of a function over cubature points of a belief, and its covariances with the state and with itself */
+static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real with_state[@m@ * NT],
+                real own[@m@ * @m@])
+{
+    real both[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], up[@n@][@m@], down[@n@][@m@], count, far;
+    int i, j, k;
+    for (i = 0; i < @n@; i++) {
+        centre[i] = i < NT ? x[i] : held[i - NT];
+        for (j = 0; j < @n@; j++) {
+            both[i * @n@ + j] = i < NT && j < NT ? P[i][j] : i < NT || j < NT ? 0 : held_noise[i - NT][j - NT];
+        }
+    }
+    count = root_of(@n@, both, root);
+    far = @sqrt@(count);
+    for (j = 0; j < @n@; j++) {
+        for (i = 0; i < @n@; i++) {
+            point[i] = centre[i] + far * root[i * @n@ + j];
+        }
+        @f@_of(point, u, up[j]);
+        for (i = 0; i < @n@; i++) {
+            point[i] = centre[i] - far * root[i * @n@ + j];
+        }
+        @f@_of(point, u, down[j]);
+    }
+    for (i = 0; i < @m@; i++) {
+        mean[i] = up[0][i];
+        for (j = 0; j < @n@; j++) {
+            mean[i] += root[j * @n@ + j] > 0 ? ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count : 0;
+        }
+        for (k = 0; k < NT; k++) {
+            with_state[i * NT + k] = 0;
+            for (j = 0; j < @n@; j++) {
+                with_state[i * NT + k] += (up[j][i] - down[j][i]) / (2 * far) * root[k * @n@ + j];
+            }
+        }
+        for (k = 0; k <= i; k++) {
+            real sum = 0;
+            for (j = 0; j < @n@; j++) {
+                const real even = (up[j][i] + down[j][i]) / 2 - mean[i], other = (up[j][k] + down[j][k]) / 2 - mean[k];
+                const real odd = (up[j][i] - down[j][i]) * (up[j][k] - down[j][k]) / 4;
+                sum += root[j * @n@ + j] > 0 ? (odd + even * other) / count : 0;
+            }
+            own[i * @m@ + k] = own[k * @m@ + i] = sum;
+        }
+    }
+}
+"""
+
+LINEAR = """
+/* value of a linear function of a belief, and its covariances with the state and with itself */
+static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real with_state[@m@ * NT],
+                real own[@m@ * @m@])
+{
+    real slope[@m@ * NT];
+    int i, j, k;
+@body@
+    for (i = 0; i < @m@; i++) {
+        for (j = 0; j < NT; j++) {
+            with_state[i * NT + j] = 0;
+            for (k = 0; k < NT; k++) {
+                with_state[i * NT + j] += slope[i * NT + k] * P[k][j];
+            }
+        }
+        for (j = 0; j <= i; j++) {
+            for (k = 0; k < NT; k++) {
+                own[i * @m@ + j] += with_state[i * NT + k] * slope[j * NT + k];
+            }
+            own[j * @m@ + i] = own[i * @m@ + j];
+        }
+    }
 }
 """
 
 
 def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     """Fields of both templates, of a filter of expressions."""
-    plant = estimator.expressed()
-    x, u, y, none = plant.x, plant.u, ca.SX.sym("y", plant.ny), ca.SX(0, 1)
+    plant, (mean, S) = estimator.expressed(), estimator.disturbance
+    x, u, w, none = plant.x, plant.u, plant.w, ca.SX(0, 1)
+    z, nw = ca.vertcat(x, w), plant.nw
     step = plant.explicit_step
-    after = step.substep(x, u, none, none)
-    white = ca.DM(np.linalg.inv(np.linalg.cholesky(estimator.V)))
-    seen = white @ plant.outputs
     start = estimator.start(1)
     P0 = start.covariance.reshape(plant.nx, plant.nx)
-    tables = {"W": estimator.W, "c": estimator.c, "x0": start.mean[0], "P0": P0}
-    return {name: table(values, scalar) for name, values in tables.items()} | {
-        "ny": plant.ny, "parts": step.substeps,
-        "advance": _body([x, u], {"after": after, "slope": ca.jacobian(after, x).T}, scalar),
-        "compare": _body([x, u, y], {"rest": white @ y - seen, "slope": ca.jacobian(seen, x).T}, scalar),
-    }  # fmt: skip
+    room = np.zeros((max(nw, 1), max(nw, 1)))  # C has no empty tables
+    room[:nw, :nw] = S
+    tables = {"W": estimator.W.ravel(), "V": estimator.V.ravel(), "c": estimator.c, "x0": start.mean[0], "P0": P0}
+    one = {"sqrt": "sqrtf" if scalar == "float" else "sqrt", "parts": step.substeps}
+    each = {
+        "advance": ("NT", "NZ", z, step.function(x, u, w, none), SAMPLE, step.substep(x, u, w, none)),
+        "observe": ("NY", "NT", x, plant.outputs, OUTPUT, plant.outputs),
+    }
+    found = {}
+    for f, (m, n, of, whole, template, value) in each.items():
+        slope = ca.jacobian(whole, of)
+        if ca.depends_on(slope, of):
+            text, body = template + CUBATURE, _body([of, u], {"value": value}, ["z[{}]", "u[{}]"], scalar)
+        else:
+            H, G = ca.horzsplit(slope, [0, plant.nx, slope.shape[1]])
+            own = G @ ca.DM(S)[: G.shape[1], : G.shape[1]] @ G.T
+            results = {"mean": ca.substitute(whole, w, ca.DM(mean)), "slope": H.T, "own": own}
+            text, body = LINEAR, _body([x, u], results, ["x[{}]", "u[{}]"], scalar)
+        found[f] = fill(text, one | {"f": f, "m": m, "n": n, "body": body})
+    rounding = ROUNDED_SUM / np.finfo(float).eps * np.finfo(np.float32 if scalar == "float" else float).eps
+    held = {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
+    needed = HELD + ROOT if "root_of" in "".join(found.values()) else ""
+    tools = fill(needed, one | held | {"rounding": real(rounding, scalar)})
+    texts = {name: table(values, scalar) for name, values in tables.items()}
+    return texts | found | {"ny": plant.ny, "nw": nw, "tools": tools}
 
 
 def _number(value: float, scalar: str) -> str:
@@ -155,15 +276,15 @@ def _number(value: float, scalar: str) -> str:
     return real(value, scalar) if math.isfinite(value) else ("-INFINITY" if value < 0 else "INFINITY")
 
 
-def _body(given: list[ca.SX], results: dict[str, ca.SX], scalar: str) -> str:
-    """C text that writes expressions in x, u and y to arrays."""
+def _body(given: list[ca.SX], results: dict[str, ca.SX], names: list[str], scalar: str) -> str:
+    """C text that writes expressions in given names to arrays."""
     f = ca.Function("f", given, [ca.vec(ca.densify(value)) for value in results.values()], {"cse": True})
     try:
         lines, values = Vectorised(f, "estimator").lines(
-            ["x[{}]", "u[{}]", "y[{}]"], c_operations(scalar), "const real {} = {};", partial(_number, scalar=scalar)
+            names, c_operations(scalar), "const real {} = {};", partial(_number, scalar=scalar)
         )
     except KeyError as error:
         raise InputError("estimator", f"operation {error} of CasADi", "operations that C99 has") from None
     lines += [f"{name}[{i}] = {value};" for name, row in zip(results, values) for i, value in enumerate(row)]
-    unused = " ".join(f"(void){name};" for name, _ in zip("xuy", given))
+    unused = " ".join(f"(void){name[0]};" for name in names)
     return "\n".join(f"    {line}" for line in [*lines, unused])

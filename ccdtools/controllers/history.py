@@ -17,7 +17,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.policy_code import PolicyCode
 from ccdtools.controllers.signals import Around, needs_of
 from ccdtools.design_limits import DesignLimits
-from ccdtools.estimation.extended import ExtendedKalmanFilter
+from ccdtools.estimation.cubature import CubatureKalmanFilter
 from ccdtools.estimation.kalman import KalmanFilter
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_count, as_floats, as_instance
@@ -158,10 +158,10 @@ def load_policy(path: str | Path) -> LearnedPolicy | History | Observed:
     return History(policy, extra["history"]) if "history" in extra else policy
 
 
-def _filter_of(path: str | Path, known: dict[str, Any]) -> KalmanFilter | ExtendedKalmanFilter:
+def _filter_of(path: str | Path, known: dict[str, Any]) -> KalmanFilter | CubatureKalmanFilter:
     """Filter of its plain values."""
     try:
-        return ExtendedKalmanFilter.from_dict(known) if "expressions" in known else KalmanFilter(**known)
+        return CubatureKalmanFilter.from_dict(known) if "expressions" in known else KalmanFilter(**known)
     except (KeyError, IndexError, TypeError, ValueError, NotImplementedError) as error:
         raise CheckpointError(path, f"a filter that cannot be read ({error})", "one saved by this version") from None
 

@@ -136,7 +136,7 @@ class LearnedPolicy(Immutable):
             Type of the numbers.
         history : int
             Samples that the code remembers, where x is a history: `History.to_c` gives its length.
-        estimator : KalmanFilter or ExtendedKalmanFilter, optional
+        estimator : KalmanFilter or CubatureKalmanFilter, optional
             What the code estimates x with: `Observed.to_c` gives its own.
 
         Raises

@@ -90,6 +90,7 @@ class Filter(Immutable):
     W: Any
     V: Any
     nu: Any
+    disturbance: Any = np.zeros(0), np.zeros((0, 0))  # mean and covariance of what else moves the plant
 
     @property
     def nx(self) -> int:
@@ -101,12 +102,12 @@ class Filter(Immutable):
         """Number of outputs."""
         return len(self.V)
 
-    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Next states (n, nx) and slopes ∂x⁺/∂x (nx, nx) or (n, nx, nx)."""
+    def _transition(self, belief: Belief, u: Array) -> tuple[Array, Array, Any]:
+        """Next states (n, nx), slopes (nx, nx) or (n, nx, nx), and covariance that they miss."""
         raise NotImplementedError
 
-    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
-        """Outputs (n, ny) at the estimates and slopes ∂h/∂x (ny, nx) or (n, ny, nx)."""
+    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array, Any]:
+        """Outputs (n, ny), slopes (ny, nx) or (n, ny, nx), and covariance that they miss."""
         raise NotImplementedError
 
     def expressed(self) -> Plant:
@@ -123,26 +124,26 @@ class Filter(Immutable):
 
     def predict(self, belief: Belief, u: ArrayLike) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
-        mean, F = self._transition(belief.mean, rows_of("u", u, belief, self.nu))
-        return Belief(mean, propagated_covariance(belief.covariance, F, self.W))
+        mean, F, missed = self._transition(belief, rows_of("u", u, belief, self.nu))
+        return Belief(mean, propagated_covariance(belief.covariance, F, self.W + missed))
 
     def innovation(self, belief: Belief, y: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """Innovation of y (n, ny) after u (n, nu), and its first-order covariance (ny, ny) or (n, ny, ny)."""
-        expected, H = self._expected(belief, rows_of("u", u, belief, self.nu))
-        return rows_of("y", y, belief, self.ny) - expected, propagated_covariance(belief.covariance, H, self.V)
+        """Innovation of y (n, ny) after u (n, nu), and its covariance (ny, ny) or (n, ny, ny)."""
+        expected, H, missed = self._expected(belief, rows_of("u", u, belief, self.nu))
+        return rows_of("y", y, belief, self.ny) - expected, propagated_covariance(belief.covariance, H, self.V + missed)
 
     def update(self, belief: Belief, y: ArrayLike, u: ArrayLike) -> Belief:
         """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        expected, H = self._expected(belief, rows_of("u", u, belief, self.nu))
-        K, P = self._corrected(belief.covariance, H)
+        expected, H, missed = self._expected(belief, rows_of("u", u, belief, self.nu))
+        K, P = self._corrected(belief.covariance, H, self.V + missed)
         return Belief(
             belief.mean + ((rows_of("y", y, belief, self.ny) - expected)[:, None, :] @ transposed(K))[:, 0], P
         )
 
-    def _corrected(self, P: Array, H: Array) -> tuple[Array, Array]:
+    def _corrected(self, P: Array, H: Array, V: Array) -> tuple[Array, Array]:
         """Gain of a measurement, and the covariance after it."""
-        K = gain_of(P, H, self.V)
-        return K, updated_covariance(P, H, self.V, K)
+        K = gain_of(P, H, V)
+        return K, updated_covariance(P, H, V, K)
 
     def __deepcopy__(self, memory: Any) -> Self:
         return self
@@ -173,10 +174,9 @@ class Filter(Immutable):
         )  # fmt: skip
 
 
-def undisturbed_plant(x: ca.SX, u: ca.SX, dynamics: ca.SX, **options: Any) -> Plant:
-    """Plant without design and disturbance."""
-    none = ca.SX(0, 1)
-    return Plant(x, u, none, none, dynamics, NO_DESIGN, **options)
+def settled_plant(x: ca.SX, u: ca.SX, w: ca.SX, dynamics: ca.SX, **options: Any) -> Plant:
+    """Plant without design."""
+    return Plant(x, u, w, ca.SX(0, 1), dynamics, NO_DESIGN, **options)
 
 
 def rows_of(argument: str, value: ArrayLike, belief: Belief, size: int) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,14 +11,14 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from mpc.tolerances import ROUNDED_SUM
+from ccdtools.estimation.regression import predicted, updated
 
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
     """Innovations of a cubature Kalman filter, by parameters θ (m,).
 
-    An extended one, whose slope is that at its estimate, mistakes what bends within its uncertainty, such as dry
+    An extended filter, whose slope is that at its estimate, mistakes what bends within its uncertainty, such as dry
     friction, for noise that lasts.
 
     Attributes
@@ -32,12 +31,6 @@ class Innovations:
         Outputs as rows of `whitened`, and what was applied.
     scaled : bool
         Whether θ ends with logarithms of two factors: of the covariances of w, and of the outputs' noise.
-    known : (nx,) array
-        Deviation of x that is none, of what is known exactly.
-
-    References
-    ----------
-    Arasaratnam and Haykin, "Cubature Kalman filters", IEEE Transactions on Automatic Control 54, 2009.
     """
 
     step: ca.Function
@@ -47,7 +40,6 @@ class Innovations:
     rows: Array
     inputs: Array
     scaled: bool
-    known: Array
 
     @cached_property
     def _sample(self) -> ca.Function:
@@ -57,28 +49,16 @@ class Innovations:
         theta = ca.MX.sym("theta", p.numel() + 2 * self.scaled)
         P, u, row = ca.MX.sym("P", nx, nx), ca.MX.sym("u", before.numel()), ca.MX.sym("row", ny * (1 + ny))
         p, factors = theta[: p.numel()], ca.exp(theta[p.numel() :]) if self.scaled else ca.DM.ones(2)
-        square, prior = ca.SX.sym("square", nx, nx), ca.SX.sym("prior", nx)
-        rounding = ROUNDED_SUM * prior + self.known**2  # a part of what was known before, whatever the units
-        root = ca.Function("root", [square, prior], [ca.chol(square + ca.diag(rounding)).T])
         white = ca.reshape(row[ny:], ny, ny)
-        y, of_x, of_y = _spread(lambda z: self.output(z, before, p), x, root(P, ca.diag(P)))
-        away = ca.vertcat(of_x, white @ of_y)
         noise = ca.if_else(ca.sum2(white**2) > 0, factors[1], 1.0)  # nothing is told by one that was missed
-        known, told = ca.vertcat(x, white @ (y - row[:ny])), []
-        spread = away @ away.T + ca.diag(ca.vertcat(ca.DM.zeros(nx), noise))
-        for i in range(nx, nx + ny):  # what an output misses becomes 0, one by one
-            told.append((-known[i], spread[i, i]))
-            gain = spread[:, i] / spread[i, i]
-            known, spread = known - gain * known[i], spread - gain @ spread[i, :]
+        known, spread, told = updated(
+            lambda x: white @ self.output(x, before, p), x, P, white @ row[:ny], ca.diag(noise)
+        )
         mean, W = self.disturbance
-        units = np.where(np.diag(W) > 0, np.sqrt(np.diag(W)), 1.0)
-        variances, axes = np.linalg.eigh(W / units / units[:, None])
-        some = variances > ROUNDED_SUM  # cubature points along the others would only be further out
-        by_w = ca.DM(units[:, None] * axes[:, some] * np.sqrt(variances[some])) * ca.sqrt(factors[0])
-        both = ca.vertcat(known[:nx], ca.DM(mean))
-        roots = ca.diagcat(root(spread[:nx, :nx], ca.diag(P)), by_w)
-        after, _, of_next = _spread(lambda z: self.step(z[:nx, :], u, z[nx:, :], p), both, roots)
-        results = [after, of_next @ of_next.T, *(ca.vertcat(*part) for part in zip(*told))]
+        after, next_spread = predicted(
+            lambda x, w: self.step(x, u, w, p), known, spread, (ca.DM(mean), ca.DM(W) * factors[0])
+        )
+        results = [after, next_spread, *(ca.vertcat(*part) for part in zip(*told))]
         return ca.Function("sample", [x, P, theta, before, u, row], results)
 
     @cached_property
@@ -119,12 +99,3 @@ class Innovations:
         r, s, *_ = self.at(theta)
         n, steps = self.inputs.shape[:2]
         return np.asarray((r / np.sqrt(s)).reshape(-1, steps, n).transpose(2, 1, 0))
-
-
-def _spread(function: Callable[[Any], Any], mean: Any, root: Any) -> tuple[Any, Any, Any]:
-    """Mean of a function of x, and deviations of x and of it, whose squares are covariances, by cubature points."""
-    n = root.shape[1]
-    away = n**0.5 * ca.horzcat(root, -root)
-    values = function(mean + away)
-    middle = ca.sum2(values) / (2 * n)
-    return middle, away / (2 * n) ** 0.5, (values - middle) / (2 * n) ** 0.5

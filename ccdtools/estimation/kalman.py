@@ -19,7 +19,7 @@ from ccdtools.estimation.belief import (
     gain_of,
     propagated_covariance,
     rows_of,
-    undisturbed_plant,
+    settled_plant,
     updated_covariance,
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
@@ -153,7 +153,7 @@ class KalmanFilter(Filter):
         """Discrete plant of predicted states, without c, and outputs."""
         x, u = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu)
         after, y = (ca.DM(M) @ x + ca.DM(N) @ u for M, N in ((self.A, self.B), (self.C, self.D)))
-        return undisturbed_plant(x, u, after, dt=1.0, continuous=False, outputs=y + self.y0)
+        return settled_plant(x, u, ca.SX(0, 1), after, dt=1.0, continuous=False, outputs=y + self.y0)
 
     def to_dict(self) -> dict[str, Any]:
         """Filter as plain values, which `KalmanFilter` takes."""
@@ -192,14 +192,14 @@ class KalmanFilter(Filter):
     def predict(self, belief: Belief, u: ArrayLike) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
         if self.steady:
-            return Belief(self._transition(belief.mean, rows_of("u", u, belief, self.nu))[0], self.predicted)
+            return Belief(self._transition(belief, rows_of("u", u, belief, self.nu))[0], self.predicted)
         return super().predict(belief, u)
 
-    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
-        return x @ self.A.T + u @ self.B.T + self.c, self.A
+    def _transition(self, belief: Belief, u: Array) -> tuple[Array, Array, Any]:
+        return belief.mean @ self.A.T + u @ self.B.T + self.c, self.A, 0.0
 
-    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
-        return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C
+    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array, Any]:
+        return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C, 0.0
 
-    def _corrected(self, P: Array, H: Array) -> tuple[Array, Array]:
-        return (self.gain, self.covariance) if self.steady else super()._corrected(P, H)
+    def _corrected(self, P: Array, H: Array, V: Array) -> tuple[Array, Array]:
+        return (self.gain, self.covariance) if self.steady else super()._corrected(P, H, V)

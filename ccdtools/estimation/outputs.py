@@ -19,7 +19,7 @@ from ccdtools.plants.sampled_model import SampledModel
 from ccdtools_ground.door import as_array, as_floats, shown
 
 FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
-LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use an ExtendedKalmanFilter."
+LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use a CubatureKalmanFilter."
 EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which may also ask for u and p"
 
 

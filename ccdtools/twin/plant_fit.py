@@ -463,8 +463,7 @@ def _innovations(
     unstated = mean - problem.mean_disturbance
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
-    least = NEGLIGIBLE**2 * problem.state_scale
-    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled, least)
+    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
 
 
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:

@@ -8,7 +8,7 @@ from scipy.fft import idct
 import ccdtools as cc
 from ccdtools import InputError, KalmanFilter, OutputLimits
 from ccdtools.controllers import Filtered
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from ccdtools.exceptions import NotDetectableError
 from invariant_sets import AdmissibleInputs, Polytope
 from learning import ActorCritic, NetworkConfig
@@ -146,6 +146,6 @@ def test_states_with_half_of_the_largest_part_of_a_mode_are_named(part, named):
 
 @pytest.mark.parametrize(("start", "words"), [(0.3e-9, "not seen at the first estimate"), (6e-9, "")])
 def test_an_output_is_level_where_its_slope_is_below_a_billionth_of_that_nearby(start, words):
-    found = ExtendedKalmanFilter(plant(lambda x, u: 0.5 * x + 0.1 * ca.sin(x) + u, outputs=lambda x: x**2),
+    found = CubatureKalmanFilter(plant(lambda x, u: 0.5 * x + 0.1 * ca.sin(x) + u, outputs=lambda x: x**2),
                                  W=[1.0], V=[1.0], P0=[1.0], x0=[start])  # fmt: skip
     assert ("not seen" in repr(found)) == bool(words)

@@ -67,9 +67,9 @@ class Learned:
     limits : optional
         What leaving X costs, see `StateLimitPenalty`; by default what `judge.limit_tolerance` asks for.
     history : int, optional
-        Of a problem with a `measurement` the policy sees the estimate of a Kalman filter of its design, extended where
-        the model has expressions; it begins by imitating LQR, behind it LQG. With a number it sees so many last outputs
-        and inputs instead, and begins by imitating LQG.
+        Of a problem with a `measurement` the policy sees the estimate of a Kalman filter of its design, by cubature
+        where the model has expressions; it begins by imitating LQR, behind it LQG. With a number it sees so many last
+        outputs and inputs instead, and begins by imitating LQG.
     from_scratch : bool
         Whether a policy that PPO learns from nothing, at the first design, climbs beside it, along its own gradient
         where that is the one of its return, else as `by` says. It may find what no small change of an expert's

@@ -30,7 +30,7 @@ from ccdtools import (
 from ccdtools.co_design import closed_loop_returns, filter_problem, history_problem, kalman_filter, previewed_problem
 from ccdtools.controllers import History, Observed
 from ccdtools.disturbances import Cases
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from ccdtools.plants import BlackBox
 
 M = 6
@@ -107,8 +107,9 @@ def test_the_states_are_the_plant_and_what_its_filter_believes(kind, stiff, rng)
     h = problem.measurement.at(2, 1, p).of
     known = kalman_filter(problem, p)
     if kind != "simulator":
-        noise = {"W": known.W, "V": known.V, "P0": np.diag([0.2, 0.1]), "c": known.c}
-        known = ExtendedKalmanFilter(problem.model, problem.measurement, design=p, **noise)
+        told = problem.mean_disturbance, problem.moments[2]
+        noise = {"W": np.zeros(2), "V": known.V, "P0": np.diag([0.2, 0.1]), "disturbance": told}
+        known = CubatureKalmanFilter(problem.model, problem.measurement, design=p, **noise)
     step, own = longer.model.stepper(p, batch=4), problem.model.stepper(p, batch=4)
     x = rng.standard_normal((4, 2))
     belief = known.update(known.start(4), rng.standard_normal((4, 1)), np.zeros((4, 1)))
@@ -168,7 +169,7 @@ def test_a_law_of_the_estimate_returns_as_much_as_behind_its_filter():
     law = saturated_lqr(problem, p)
     known = kalman_filter(problem, p)
     noise = {"W": known.W, "V": known.V, "P0": known.P0, "x0": known.x0}
-    deployed = Observed(law, ExtendedKalmanFilter(problem.model, problem.measurement, design=p, **noise))
+    deployed = Observed(law, CubatureKalmanFilter(problem.model, problem.measurement, design=p, **noise))
     behind, of_estimate = (
         closed_loop_returns(one, controller, p, np.random.default_rng(0), runs=200).summary
         for one, controller in ((problem, deployed), (filter_problem(problem), lambda z: law(z[:, -2:])))
@@ -182,7 +183,7 @@ def test_a_policy_begins_at_lqg_and_is_handed_out_behind_its_filter():
     config = CoDesignConfig(iterations=2, starts=1, pathwise_runs=16, evaluation_runs=64)
     found = codesign(problem, method=Learned(config=config), rng=np.random.default_rng(0))
     assert isinstance(found.controller, Observed)
-    assert isinstance(found.controller.estimator, ExtendedKalmanFilter)
+    assert isinstance(found.controller.estimator, CubatureKalmanFilter)
     assert found.controller.needs == {"output", "last_input"}
     assert found.policy.nx == 2
     mine, lqg = (

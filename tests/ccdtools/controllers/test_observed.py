@@ -10,7 +10,7 @@ import pytest
 import ccdtools as cc
 from ccdtools import InputError, KalmanFilter, LinearFeedback, Measurement
 from ccdtools.controllers import Filtered, Observed
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, OffsetFreeMPC, lqr
 
@@ -24,7 +24,7 @@ MODEL = cc.LinearModel.from_state_space(control.ss(A, B, np.eye(2), 0, 0.1), E=n
 K, _ = lqr(A, B, Q=np.eye(2), R=[[0.1]])
 STEADY = KalmanFilter(A, B, C, W, V)
 OVER_TIME = KalmanFilter(A, B, C, W, V, steady=False, x0=[-0.5, 0.0], P0=[1.0, 0.1])
-EXTENDED = ExtendedKalmanFilter(MODEL, C, W=W, V=V, P0=[1.0, 0.1], x0=[-0.5, 0.0])
+CUBATURE = CubatureKalmanFilter(MODEL, C, W=W, V=V, P0=[1.0, 0.1], x0=[-0.5, 0.0])
 X0 = np.array([[-1.0, 0.0], [0.5, 0.2], [0.3, -0.1]])
 STEPS = 30
 NOISE = 0.01 * np.random.default_rng(1).standard_normal((3, STEPS, 1))
@@ -56,7 +56,7 @@ def by_hand(gains, x0, noise, w):
     return np.array(states)
 
 
-@pytest.mark.parametrize("estimator", [OVER_TIME, EXTENDED], ids=["kalman", "extended"])
+@pytest.mark.parametrize("estimator", [OVER_TIME, CUBATURE], ids=["kalman", "cubature"])
 def test_the_loop_is_the_one_written_by_hand(estimator):
     P, gains = np.diag([1.0, 0.1]), []
     for k in range(STEPS):
@@ -108,7 +108,7 @@ class Summing:
         return -K @ x - 0.01 * self.total
 
 
-@pytest.mark.parametrize("estimator", [STEADY, OVER_TIME, EXTENDED], ids=["steady", "over time", "extended"])
+@pytest.mark.parametrize("estimator", [STEADY, OVER_TIME, CUBATURE], ids=["steady", "over time", "cubature"])
 @pytest.mark.parametrize("name", controllers())
 def test_runs_at_once_are_runs_one_by_one_and_start_afresh(name, estimator):
     observed = Observed(controllers()[name], estimator)
@@ -196,7 +196,7 @@ def test_a_comparison_times_it_without_counting(admissible):
 
 def test_a_policy_keeps_its_design_behind_the_estimate(illustrative, clone):
     policy = cc.LearnedPolicy(clone(illustrative), [2.0])
-    estimator = ExtendedKalmanFilter(illustrative.model, [[1.0, 0.0]], W=[1e-4, 1e-4], V=[1e-4], P0=[4.0, 4.0],
+    estimator = CubatureKalmanFilter(illustrative.model, [[1.0, 0.0]], W=[1e-4, 1e-4], V=[1e-4], P0=[4.0, 4.0],
                                      x0=[-1.5, -1.5], design=[2.0])  # fmt: skip
     observed = Observed(policy, estimator)
     options = {"x0": [-2.0, -2.0], "output": Measurement([[1.0, 0.0]], noise=[0.01]), "rng": np.random.default_rng(0)}
@@ -216,7 +216,7 @@ def test_a_run_that_is_lost_takes_no_other_with_it():
 
     w = np.zeros((2, 20, 2))
     w[1, 3] = 1e300
-    for estimator in (STEADY, EXTENDED):
+    for estimator in (STEADY, CUBATURE):
         observed = Observed(Wary(), estimator)
         closed = cc.simulate(MODEL, observed, x0=[[1.0, 0.0], [1.0, 0.0]], steps=20, disturbance=w, output=far_off)
         alone = cc.simulate(MODEL, observed, x0=[1.0, 0.0], steps=20, disturbance=w[0], output=far_off)

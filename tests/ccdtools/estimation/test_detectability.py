@@ -1,4 +1,4 @@
-"""What an extended Kalman filter cannot see is refused or said when it is made, and a rest up to rounding is a rest."""
+"""What a cubature Kalman filter cannot see is refused or said when it is made, and a rest up to rounding is a rest."""
 
 import casadi as ca
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 import ccdtools as cc
 from ccdtools import InputError, KalmanFilter
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from ccdtools.exceptions import NotDetectableError
 
 NONE = cc.DesignSpace([], [], [])
@@ -22,7 +22,7 @@ def estimator(own, *, x0=(0.0, 0.0), unit=1.0, **more):
     """Its filter, states in another unit."""
     scale = unit**2
     given = {"W": [1e-4 * scale] * 2, "V": [1e-2], "P0": [0.1 * scale] * 2, "x0": np.array(x0) * unit} | more
-    return ExtendedKalmanFilter(own, **given)
+    return CubatureKalmanFilter(own, **given)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])

@@ -310,7 +310,7 @@ def test_the_filter_of_a_plant_at_rest_takes_its_outputs_from_there(steady):
 def test_only_linear_plants_with_outputs_have_a_kalman_filter_of_their_own():
     plant = two_tanks_with_flow()
     noise = {"W": [1.0, 1.0], "V": [1.0, 1.0], "design": [1.0]}
-    with pytest.raises(InputError, match=r"plant: got nonlinear dynamics.*ExtendedKalmanFilter"):
+    with pytest.raises(InputError, match=r"plant: got nonlinear dynamics.*CubatureKalmanFilter"):
         KalmanFilter.of(plant, **noise)
     with pytest.raises(InputError, match="plant: got a constant term"):
         KalmanFilter.of(cc.linearise(plant, [4.0, 4.0], [1.0]), **noise)

@@ -49,7 +49,7 @@ def test_the_gain_is_that_of_python_control(name):
 
 
 @pytest.mark.parametrize("name", MEASURED)
-def test_an_extended_filter_of_the_plant_itself_finds_its_state(name):
+def test_a_cubature_filter_of_the_plant_itself_finds_its_state(name):
     make, measured = MEASURED[name]
     plant = make()
     p = plant.design.centre
@@ -60,8 +60,8 @@ def test_an_extended_filter_of_the_plant_itself_finds_its_state(name):
     run = cc.simulate(plant, cc.Passive(plant.nu), x0=x0, steps=30, design=p)
     V = (1e-3 * size[measured]) ** 2
     y = run.states[:, :-1] @ C.T + np.sqrt(V) * rng.standard_normal((8, 30, len(V)))
-    extended = cc.ExtendedKalmanFilter(plant, C, W=1e-12 * size**2, V=V, P0=size**2, design=p)
-    found = extended.filter(y, run.inputs)
+    cubature = cc.CubatureKalmanFilter(plant, C, W=1e-12 * size**2, V=V, P0=size**2, design=p)
+    found = cubature.filter(y, run.inputs)
     error = run.states[:, -2] - found.means[:, -1]
     variances = np.diagonal(found.covariances[:, -1], axis1=1, axis2=2)
     assert (variances <= np.diag(np.cov(run.states[:, -2].T)) + size**2).all()

@@ -232,7 +232,7 @@ def pendulum(gain=1.0):
     return Plant(x, u, w, p, [x[1], -p * ca.sin(x[0]) - 0.2 * x[1] + gain * u + w], BOX, dt=0.2, substeps=2)
 
 
-def test_a_nonlinear_plant_by_the_extended_filter():
+def test_a_nonlinear_plant_by_its_filter():
     problem = CoDesignProblem(
         discretise(pendulum()), X=(-6, 6), U=(-3, 3), steps=STEPS, limit_tolerance="off",
         objective=QuadraticObjective(np.eye(2), [[0.1]]), measurement=Measurement([[1.0, 0.0]], noise=[0.05]),

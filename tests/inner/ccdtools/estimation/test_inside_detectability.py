@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.estimation import CubatureKalmanFilter
 from ccdtools.estimation.steady_state import Detectability
 from ccdtools.plants import library
 
@@ -22,7 +22,7 @@ def estimator(own, *, x0=(0.0, 0.0), unit=1.0, **more):
     """Its filter, states in another unit."""
     scale = unit**2
     given = {"W": [1e-4 * scale] * 2, "V": [1e-2], "P0": [0.1 * scale] * 2, "x0": np.array(x0) * unit} | more
-    return ExtendedKalmanFilter(own, **given)
+    return CubatureKalmanFilter(own, **given)
 
 
 def pendulum(output, unit=1.0):
@@ -63,7 +63,7 @@ def test_derivatives_that_are_not_finite_say_nothing():
 def test_the_outputs_of_the_library_see_their_plants():
     own = library.pendulum_on_cart()
     nx = own.nx
-    found = ExtendedKalmanFilter(
+    found = CubatureKalmanFilter(
         own, np.eye(nx)[:2], W=[1e-6] * nx, V=[1e-4] * 2, P0=[0.01] * nx, design=own.design.centre
     )
     assert found.detectability in (Detectability.SEEN, Detectability.DRIFTING)

@@ -18,7 +18,7 @@ def told(W, to_w):
     start = np.array([1.0, 0.0]), np.diag([0.5, 0.0])
     inputs = rng.standard_normal((2, 30, 1))
     disturbance = np.zeros(len(W)), np.asarray(W, dtype=float)
-    found = Innovations(step, output, disturbance, start, rows, inputs, True, np.full(2, 1e-12))
+    found = Innovations(step, output, disturbance, start, rows, inputs, True)
     return found.at(np.array([2.0, 0.3, -0.2]))
 
 

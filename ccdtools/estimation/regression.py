@@ -1,0 +1,108 @@
+"""Beliefs of a cubature Kalman filter as CasADi expressions.
+
+A function of a belief is its mean, its slope over the belief, and the covariance that the slope misses. With these the
+rest is the Kalman filter; a linear function has its own slope and misses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import casadi as ca
+
+from mpc.tolerances import ROUNDED_SUM
+
+Regressed = tuple[Any, Any, Any]  # mean (m,), slope (m, n), covariance (m, m) that the slope misses
+
+
+@cache
+def root(n: int) -> ca.Function:
+    """Function P (n, n) → lower L, L Lᵀ = P, with columns of zeros along what is known."""
+    P, L = ca.SX.sym("P", n, n), ca.SX.zeros(n, n)
+    for j in range(n):
+        column = P[j:, j] - L[j:, :j] @ L[j, :j].T
+        unknown = column[0] > ROUNDED_SUM * P[j, j]
+        L[j:, j] = ca.if_else(unknown, column / ca.sqrt(ca.if_else(unknown, column[0], 1.0)), 0.0)
+    return ca.Function("root", [P], [L])
+
+
+@cache
+def points(n: int) -> ca.Function:
+    """Function x (n,), L (n, n) → cubature points (n, 2 n), which are x along what is known."""
+    x, L = ca.SX.sym("x", n), ca.SX.sym("L", n, n)
+    away = ca.sqrt(ca.fmax(ca.sum1(ca.diag(L) > 0), 1)) * L
+    return ca.Function("points", [x, L], [x + ca.horzcat(away, -away)])
+
+
+@cache
+def regressed(m: int, n: int) -> ca.Function:
+    """Function of values (m, 2 n) at cubature points, L (n, n) → mean, slope, covariance that it misses.
+
+    References
+    ----------
+    Arasaratnam and Haykin, "Cubature Kalman filters", IEEE Transactions on Automatic Control 54, 2009; Lefebvre,
+    Bruyninckx and De Schutter (2002), for the slope, which is that of least squares over the points.
+    """
+    values, L = ca.SX.sym("values", m, 2 * n), ca.SX.sym("L", n, n)
+    up, down = ca.horzsplit(values, n)
+    unknown = ca.diag(L).T > 0
+    count = ca.fmax(ca.sum2(unknown), 1)
+    middle = (up + down) / 2 - values[:, 0]
+    moved = ca.sum2(middle @ ca.diag(unknown)) / count
+    left = (middle - moved) @ ca.diag(unknown) / ca.sqrt(count)
+    H = (up - down) / (2 * ca.sqrt(count))
+    for j in reversed(range(n)):  # H L are the differences
+        rest = H[:, j] - H[:, j + 1 :] @ L[j + 1 :, j]
+        H[:, j] = ca.if_else(unknown[j], rest / ca.if_else(unknown[j], L[j, j], 1.0), 0.0)
+    return ca.Function("regressed", [values, L], [values[:, 0] + moved, H, left @ left.T])
+
+
+def regression(function: Callable[[Any], Any], x: Any, P: Any) -> Regressed:
+    """Mean, slope and what it misses of a function of expressions (n,) over a belief."""
+    n, z = x.numel(), type(x).sym("z", x.numel())
+    value = function(z)
+    slope = ca.jacobian(value, z)
+    if not ca.depends_on(slope, z):
+        return *ca.substitute([value, slope], [z], [x]), ca.DM.zeros(value.numel(), value.numel())
+    L = root(n)(P)
+    values = ca.horzcat(*map(function, ca.horzsplit(points(n)(x, L))))
+    mean, slope, missed = regressed(value.numel(), n)(values, L)
+    return mean, slope, missed
+
+
+def regressed_step(step: Callable[[Any, Any], Any], x: Any, P: Any, disturbance: tuple[Any, Any]) -> Regressed:
+    """Mean, slope in x, and the covariance beside it, of a step (x, w) → x⁺ with mean and covariance of w."""
+    mean, S = disturbance
+    n = x.numel()
+    both = ca.vertcat(x, mean)
+    parts = [0, n, both.numel()]
+    after, slope, missed = regression(lambda z: step(*ca.vertsplit(z, parts)), both, ca.diagcat(P, S))
+    F, G = ca.horzsplit(slope, parts)
+    return after, F, missed + G @ S @ G.T
+
+
+def predicted(step: Callable[[Any, Any], Any], x: Any, P: Any, disturbance: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Mean and covariance after a step, as `regressed_step`."""
+    after, F, missed = regressed_step(step, x, P, disturbance)
+    return after, F @ P @ F.T + missed
+
+
+def updated(output: Callable[[Any], Any], x: Any, P: Any, y: Any, V: Any) -> tuple[Any, Any, list[tuple[Any, Any]]]:
+    """Estimate and covariance after y of noise V, and innovations with their variances, each given those before.
+
+    References
+    ----------
+    Anderson, Moore (1979), Optimal filtering, section 6.2.
+    """
+    n = x.numel()
+    expected, H, missed = regression(output, x, P)
+    both = ca.vertcat(ca.DM.eye(n), H)
+    known, spread = ca.vertcat(x, expected - y), both @ P @ both.T + ca.diagcat(ca.DM.zeros(n, n), missed + V)
+    told = []
+    for i in range(n, n + y.numel()):  # what an output misses becomes 0, one by one
+        told.append((-known[i], spread[i, i]))
+        gain = spread[:, i] / spread[i, i]
+        known, spread = known - gain * known[i], spread - gain @ spread[i, :]
+    return known[:n], spread[:n, :n], told
