@@ -12,9 +12,9 @@ import numpy as np
 from mpc.checks import Array, Flags
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import Buffered
+from mpc.optimal_control.local_statement import Local, Multipliers, Rows, largest
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.pieces import kind_of
-from mpc.optimal_control.sqp import Local, Multipliers, Rows, largest
 from mpc.rollout import Given
 from mpc.tolerances import NEGLIGIBLE
 
