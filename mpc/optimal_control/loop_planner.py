@@ -150,7 +150,7 @@ class LoopPlanner:
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
         """Statement at a plan of a sample."""
-        along = self.stages.states(states, inputs, given)
+        along = self.loop.states_with(states, inputs, given)
         first = np.concatenate([x, along[0, len(x) :]])
         return self.stages.at(first, along, inputs, np.append(self.p, given["t"]), given["w"])
 
@@ -283,8 +283,7 @@ class LoopPlanner:
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
         """Unknowns of a plan, without violations."""
         v, part = program.guess.copy(), program.parts[0]
-        last = [np.vstack([given["u_prev"], inputs])] * self.loop.carries
-        z = np.hstack([states, given["w"], *last])
+        z = self.loop.states_with(states, inputs, given)
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
         return np.clip(v, program.lower, program.upper)
 

@@ -146,7 +146,7 @@ class _Rounds:
         rounds = self.left
         if as_starts(starts) == 1:
             return *self.refined(self.solved(program, None)), ()
-        first = optima(program, starts=starts, time_limit=self._seconds, **({"start": None} | self.options))
+        first = optima(program, starts=starts, time_limit=self._seconds, **self.options)
         self.iterations[0] += first[0].iterations
         best, reason = self.refined(first[0])
         ended = {(first[0].status, first[0].cost): best}
