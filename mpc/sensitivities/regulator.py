@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_discrete_lyapunov
+from scipy.linalg import schur, solve_triangular
 
 from ccdtools_ground.door import Immutable, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from ccdtools_ground.tolerances import WEIGHT_ROUNDING
@@ -85,7 +85,8 @@ def lqr_sensitivity(
 ) -> LQRSensitivity:  # fmt: skip
     """Gain and cost of `lqr` with exact derivatives by p (np,).
 
-    The Riccati equation holds at every p, so its derivative is a Lyapunov equation of the closed loop.
+    The Riccati equation holds at every p, so its derivative is a Lyapunov equation of the closed loop, which is solved
+    for all parameters with one factorisation.
 
     Parameters
     ----------
@@ -107,7 +108,8 @@ def lqr_sensitivity(
 
     References
     ----------
-    Kao and Hennequin, "Automatic differentiation of Sylvester, Lyapunov, and algebraic Riccati equations", 2020.
+    Kao and Hennequin, "Automatic differentiation of Sylvester, Lyapunov, and algebraic Riccati equations", 2020;
+    Kitagawa, International Journal of Control 25(5), 1977 (the Lyapunov equation by the Schur form).
 
     Examples
     --------
@@ -131,15 +133,28 @@ def lqr_sensitivity(
     sx, su = cost_units(A, B, Q, R)
     unit = sx[:, None] * sx  # of P: the equation is solved in the units of the weights
     right = (weights + driven + driven.transpose(1, 0, 2)) / unit[:, :, None]
-    in_units = (closed * sx[:, None] / sx).T
-    each = [solve_discrete_lyapunov(in_units, right[:, :, i]) for i in range(right.shape[2])]
-    dP = np.array(each).reshape(-1, nx, nx).transpose(1, 2, 0) * unit[:, :, None]
-    dP = (dP + dP.transpose(1, 0, 2)) / 2
+    dP = _lyapunov(closed * sx[:, None] / sx, right) * unit[:, :, None]
     M = R + B.T @ P @ B
     slope = np.einsum("yup,yz,zx->uxp", dB, P, closed) + np.einsum("yu,yzp,zx->uxp", B, dP, closed)
     slope += np.einsum("yu,yz,zxp->uxp", B, P, moved) + dS.transpose(1, 0, 2) - np.einsum("uvp,vx->uxp", dR, K)
     scaled = np.linalg.solve(M / su / su[:, None], (slope / su[:, None, None]).reshape(nu, -1))
     return LQRSensitivity(K, P, scaled.reshape(slope.shape) / su[:, None, None], dP)
+
+
+def _lyapunov(A: Array, C: Array) -> Array:
+    """Solution X (n, n, m) of X = A'XA + C, C symmetric, A stable."""
+    n, _, m = C.shape
+    if m == 0:
+        return np.zeros(C.shape)
+    T, V = schur(A, output="complex")
+    right = np.einsum("ia,ijm,jb->abm", V.conj(), C, V, optimize=True)
+    solution = np.zeros_like(right)
+    for j in range(n):  # column by column: those before it are known
+        known = np.einsum("aim,i->am", solution[:, :j], T[:j, j])
+        column = right[:, j] + T.conj().T @ known
+        solution[:, j] = solve_triangular(np.eye(n) - T[j, j] * T.conj().T, column, lower=True)
+    X = np.einsum("ia,abm,jb->ijm", V, solution, V.conj(), optimize=True).real
+    return np.asarray((X + X.transpose(1, 0, 2)) / 2)
 
 
 def as_derivatives(
