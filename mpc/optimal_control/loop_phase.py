@@ -20,6 +20,7 @@ from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, places_of_violations, relaxable
 from mpc.optimal_control.schemes import sampled
 from mpc.optimal_control.transcription import build
+from mpc.rollout import Given
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,11 @@ class LoopPhase(Immutable):
 
         z = sampled(rate, self.dt)(ca.vertcat(x, 0), t)
         return z[:-1], z[-1]
+
+    def states_with(self, states: Array, inputs: Array, given: Given) -> Array:
+        """States (N + 1, nx + nw + nu) of a plan with its signals."""
+        before = [np.vstack([given["u_prev"], inputs])] * self.carries
+        return np.hstack([states, given["w"], *before])
 
     @cached_property
     def ending(self) -> Any:

@@ -18,6 +18,7 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
+from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs
 from mpc.optimal_control.phase_stages import PhaseStages
@@ -25,7 +26,7 @@ from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, un
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
-from mpc.optimal_control.sqp import Local, Step, carried, next_step
+from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
 from mpc.tolerances import FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
@@ -149,7 +150,7 @@ class LoopPlanner:
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
         """Statement at a plan of a sample."""
-        along = self.stages.states(states, inputs, given)
+        along = self.loop.states_with(states, inputs, given)
         first = np.concatenate([x, along[0, len(x) :]])
         return self.stages.at(first, along, inputs, np.append(self.p, given["t"]), given["w"])
 
@@ -282,8 +283,7 @@ class LoopPlanner:
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
         """Unknowns of a plan, without violations."""
         v, part = program.guess.copy(), program.parts[0]
-        last = [np.vstack([given["u_prev"], inputs])] * self.loop.carries
-        z = np.hstack([states, given["w"], *last])
+        z = self.loop.states_with(states, inputs, given)
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
         return np.clip(v, program.lower, program.upper)
 

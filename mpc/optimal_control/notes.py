@@ -17,7 +17,7 @@ from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_along
 from mpc.optimal_control.program import NonlinearProgram
-from mpc.tolerances import LEAST_INTERVAL, SHORTEST_DURATION
+from mpc.tolerances import SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
@@ -61,10 +61,8 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
         yield from _first(f.terminal_cost, ["terminal_cost"], ends, of)
         yield from _first(f.boundary, f.boundary_names, ends, of)
         if f.sample_cost is not None:
-            times, known = phase.samples
-            own = np.searchsorted(part.mesh, times / phase.duration[0] - LEAST_INTERVAL)
-            w = signal_along(phase, (times / phase.duration[0])[:, None]).T
-            sampled = {"x": x[:, own], "w": w, "p": p, "t": (start + times)[None], "y": known.T}
+            times, known, w, places = part.samples
+            sampled = {"x": v[places].T, "w": w.T, "p": p, "t": (start + times)[None], "y": known.T}
             yield from _first(f.sample_cost, ["sample_cost"], sampled, of)
     cost, constraints = program.problem.of_parameters
     yield from _first(cost, ["p_cost"], {"p": p}, "")

@@ -10,8 +10,9 @@ import numpy as np
 
 from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array
+from mpc.optimal_control.local_statement import Local, Multipliers
 from mpc.optimal_control.planning import Clock
-from mpc.optimal_control.sqp import Local, Multipliers, Step, next_step
+from mpc.optimal_control.sqp import Step, next_step
 from mpc.tolerances import KKT, OPTIMAL, VIOLATION_PRICE
 
 REAL_TIME, CONVERGING = "real-time iteration", "SQP"

@@ -12,10 +12,9 @@ import numpy as np
 from mpc.checks import Array, Flags
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import Buffered
+from mpc.optimal_control.local_statement import Local, Multipliers, Rows, largest
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.pieces import kind_of
-from mpc.optimal_control.sqp import Local, Multipliers, Rows, largest
-from mpc.rollout import Given
 from mpc.tolerances import NEGLIGIBLE
 
 
@@ -84,11 +83,6 @@ class PhaseStages:
         """Path limits of the first state alone."""
         of_inputs = self.loop.of(self.part, "u")[self._path.of]
         return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~of_inputs)
-
-    def states(self, states: Array, inputs: Array, given: Given) -> Array:
-        """States (N + 1, nx + nw + nu) of a plan with its signals."""
-        before = [np.vstack([given["u_prev"], inputs])] * self.loop.carries
-        return np.hstack([states, given["w"], *before])
 
     def at(self, z: Array, states: Array, inputs: Array, p: Array, w: Array) -> Local:
         """Statement at a plan from z (nz,) with parameters and time p."""

@@ -15,11 +15,11 @@ from mpc.budgets import SHAKEN
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, at_points, coordinates
-from mpc.optimal_control.phase import Phase, PhaseFunctions
+from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_along
 from mpc.optimal_control.pieces import Numbers, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation, Scheme
-from mpc.tolerances import COST_ROUNDING, NEGLIGIBLE, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, NEGLIGIBLE, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,15 @@ class PhasePart:
     def coordinates(self) -> tuple[Numbers, Array]:
         """Coordinates (n,) of its unknowns, states before inputs, and fractions of the phase."""
         return coordinates(self.layout, self.mesh)
+
+    @property
+    def samples(self) -> tuple[Array, Array, Array, Numbers]:
+        """Times (n,) from its start, data, signals and places (n, ·) of the states at its samples."""
+        times, known = self.phase.samples
+        fractions = times / self.phase.duration[0]
+        interval = np.searchsorted(self.mesh, fractions - LEAST_INTERVAL)
+        places = self.first + self.layout.column * interval[:, None] + np.arange(self.layout.nx)
+        return times, known, signal_along(self.phase, fractions[:, None]), places
 
     def unknowns(self, v: Array) -> tuple[Array, Array, list[Array], list[Array]]:
         """Unknowns of nodes (node, N + 1), intervals (own, N), states, inputs at points."""

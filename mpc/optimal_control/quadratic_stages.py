@@ -13,7 +13,8 @@ from mpc.exceptions import NotConvexError
 from mpc.feedback import stabilising_weights
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.sqp import Local, Multipliers, Rows, both, convex
+from mpc.optimal_control.local_statement import Local, Multipliers, Rows, both
+from mpc.optimal_control.sqp import convex
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, deviations, disturbance, references
 from mpc.tolerances import COST_ROUNDING

@@ -102,8 +102,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
             if other.solved_on_mesh and (not solution.solved_on_mesh or run.missed(other) < run.missed(solution)):
                 solution, reason = other, ended
         if solution.solved_on_mesh and not reason and _reach_bounds(solution):
-            finer = run.sharpened(solution)
-            solution = solution if finer is None else finer
+            solution = run.sharpened(solution)
         return _ended(replace(solution, ends=ends), reason, run, began)
 
 
@@ -146,7 +145,7 @@ class _Rounds:
         rounds = self.left
         if as_starts(starts) == 1:
             return *self.refined(self.solved(program, None)), ()
-        first = optima(program, starts=starts, time_limit=self._seconds, **({"start": None} | self.options))
+        first = optima(program, starts=starts, time_limit=self._seconds, **self.options)
         self.iterations[0] += first[0].iterations
         best, reason = self.refined(first[0])
         ended = {(first[0].status, first[0].cost): best}
@@ -180,17 +179,16 @@ class _Rounds:
         said = f"{MESHES_WITHOUT_GAIN} times in a row a finer mesh missed as much as the one before"
         return said if still >= MESHES_WITHOUT_GAIN else ""
 
-    def sharpened(self, solution: Solution) -> Solution | None:
-        """Solution to a tighter solver tolerance, or None.
+    def sharpened(self, solution: Solution) -> Solution:
+        """Solution to a tighter solver tolerance, if that leads to one.
 
         Along a singular arc it does not: the input begins to swing.
         """
         rounds = copy(self)
         rounds.options = self.options | {"tolerance": SHARPER * self.tolerance}
         rounds.most = int(1.5 * len(solution.unknowns))
-        sharp = rounds.solved(solution.program, solution)
-        sharp, reason = rounds.refined(sharp)
-        return sharp if sharp.solved_on_mesh and not reason else None
+        sharp, reason = rounds.refined(rounds.solved(solution.program, solution))
+        return sharp if sharp.solved_on_mesh and not reason else solution
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
         """Solution from `start`, else from the guess."""

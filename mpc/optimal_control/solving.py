@@ -70,19 +70,17 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     Solution
         With a status: only what passes a check of its own is called SOLVED.
     """
-    found = optima(program, start=start, starts=starts, p=p, tolerance=tolerance, max_iterations=max_iterations,
-                   time_limit=time_limit, options=options)  # fmt: skip
-    return found[0]
+    return optima(program, start=start, starts=starts, p=p, tolerance=tolerance, max_iterations=max_iterations,
+                  time_limit=time_limit, options=options)[0]  # fmt: skip
 
 
-def optima(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None, starts: Any,
-           p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL_ITERATIONS,
-           time_limit: float | None = None, options: dict[str, Any] | None = None) -> list[Solution]:  # fmt: skip
+def optima(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
+           starts: Any = 1, p: ArrayLike | None = None, **settled: Any) -> list[Solution]:  # fmt: skip
     """Solutions that differ, the best first; the arguments are those of `solve`."""
     given = build(program) if isinstance(program, OptimalControlProblem | Phase) else program
     expected = "what `build` returns, an OptimalControlProblem or a Phase"
     built: NonlinearProgram = as_instance("program", given, NonlinearProgram, expected)
-    settings = as_settings(tolerance, max_iterations, time_limit, options)
+    settings = as_settings(**settled)
     as_instance("start", start, (Solution, type(None)), "a Solution, or None")
     if p is not None:
         built = _held(built, p)
@@ -160,11 +158,12 @@ def _missed(tried: tuple[Run, Found]) -> tuple[float, float]:
     return (worst if not worst <= FEASIBLE else 0.0), (cost if np.isfinite(cost) else np.inf)
 
 
-def as_settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
+def as_settings(tolerance: Any = 1e-8, max_iterations: Any = USUAL_ITERATIONS, time_limit: Any = None,
+                options: Any = None) -> Settings:  # fmt: skip
     """Settings of a call, checked."""
     if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
-    most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
+    most, limit = as_count("max_iterations", max_iterations), as_seconds("time_limit", time_limit)
     return Settings(as_share("tolerance", tolerance), most, limit, dict(options or {}))
 
 

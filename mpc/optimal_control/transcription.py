@@ -293,16 +293,13 @@ class _Assembly:
         cost, layout = part.functions.sample_cost, part.layout
         if cost is None:
             return
-        times, known = part.phase.samples
-        fractions = times / part.phase.duration[0]
-        begins = part.first + layout.column * np.searchsorted(part.mesh, fractions - LEAST_INTERVAL)
-        signals = signal_along(part.phase, fractions[:, None])
+        times, known, signals, at = part.samples
 
         def values(x: Any, p: Any, free: Any, data: Any) -> list[Any]:
             at = data[1 : 1 + layout.nw], p, part.clock(free)[0] + data[0]
             return [cost(x, *at, data[1 + layout.nw :])]
 
-        places = {"x": begins + np.arange(layout.nx)[:, None], "p": self.p[:, None], "free": part.free[:, None]}
+        places = {"x": at.T, "p": self.p[:, None], "free": part.free[:, None]}
         rows, data = np.full((1, len(times)), target), np.vstack([times, signals.T, known.T])
         self._piece(values, places, rows, cost, factors=np.array([weight]), data=data)
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
-from scipy.sparse import csr_matrix
+from scipy.sparse import block_array, csc_matrix, csr_matrix, diags_array, eye_array, vstack
+from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
 from mpc.optimal_control.functions import symbols_of
-from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.optimal_control.solution import Solution
-from mpc.tolerances import LEAST_INTERVAL, NAMED_SHARE, NEGLIGIBLE, TOLD, TOLD_APART
+from mpc.tolerances import NAMED_SHARE, NEGLIGIBLE, TOLD, TOLD_APART
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     References
     ----------
     Bierman, *Factorization Methods for Discrete Sequential Estimation*, Academic Press 1977: square roots of
-    information, here carried from the last point of each experiment to its first.
+    information.
     """
     program, v = solution.program, solution.unknowns
     p = np.arange(program.parameters.start, program.parameters.stop)
@@ -99,17 +100,17 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     own = np.abs(np.maximum(np.abs(v[p]), np.abs(np.asarray(program.problem.p_guess))))
     units[: len(p)] = np.where(own > 0, own, units[: len(p)])
     in_units: Array = np.where(free, units / sizes, 0.0)
-    courses = _courses(solution)
+    courses = _courses(solution, residual)
     ends = np.cumsum([len(p), *map(len, firsts)])
     own_columns = [np.r_[first:last, : len(p)] for first, last in pairwise(ends)]  # of each first state and p
-    roots = [course.root(_sampled(course.part, solution, residual)) for course in courses]
+    roots = [np.asarray(np.linalg.qr(course.residuals, mode="r")) for course in courses]
     slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
     # of the unknowns in units, by unit noise
     spread = np.asarray(np.linalg.pinv(slopes, rcond=TOLD_APART), dtype=float)
     held = [_held(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread)]
-    for course, at in zip(courses, own_columns):
-        if not course.part.layout.nu:
-            held.append(_held(solution, *course.moves(), at, in_units, spread))
+    for part, course, at in zip(program.parts, courses, own_columns):
+        if not part.layout.nu:
+            held.append(_held(solution, course.places, course.moves, at, in_units, spread))
     acting = np.vstack(held)[:, free]
     directions = null_space(acting, rcond=NEGLIGIBLE) if len(acting) else np.eye(int(free.sum()))
     chosen = unknowns[free]
@@ -135,100 +136,57 @@ def _held(solution: Solution, places: NDArray[np.int64], moves: Array, at: NDArr
     return _placed(moves[(low < high) & (np.abs(push) * size * variance > room)], at, in_units)
 
 
-@dataclass(frozen=True, eq=False)
-class _Course:
-    """Linearised dynamics of an experiment, all in sizes of the unknowns.
+class _Course(NamedTuple):
+    """Changes of an experiment by its first state and p, all in sizes of the unknowns."""
 
-    An interval's states, but the first, follow from what is `given`: inputs that begin in it, its first node, and p.
+    places: NDArray[np.int64]  # (n,): of the unknowns that follow
+    moves: Array  # (n, nx + np): of these
+    residuals: Array  # (k, nx + np): of whitened residuals, and of the inputs by roots of their price
+
+
+def _courses(solution: Solution, residual: ca.Function) -> list[_Course]:
+    """Linearised experiments: inputs, which are disturbances, follow by least squares.
+
+    Its conditions are those of the augmented system (Björck, *Numerical Methods for Least Squares Problems*, SIAM 1996,
+    section 1.4.2), sparse and with no product of slopes.
     """
-
-    part: PhasePart
-    places: NDArray[np.int64]  # (N, states): of the states that follow
-    states: Array  # (N, states, given): how they follow
-    next: Array  # (N, node + np, given): the next node and p
-    weights: Array  # (N, inputs): of the inputs that begin in an interval, roots of their price
-    at_start: Array  # (inputs,): the same of the first node
-
-    def root(self, sampled: list[Array]) -> Array:
-        """Square root (k, nx + np) of the information on first state and p."""
-        nx, node = self.part.layout.nx, self.part.layout.node
-        found = sampled[-1]
-        for seen, following, weights in zip(sampled[-2::-1], self.next[::-1], self.weights[::-1]):
-            rows = found @ following
-            found = _without(np.vstack([rows, np.pad(seen, ((0, 0), (len(weights), 0)))]), weights)
-        first = [*range(nx, node), *range(nx), *range(node, found.shape[1])]
-        return _without(found[:, first], self.at_start)
-
-    def moves(self) -> tuple[NDArray[np.int64], Array]:
-        """Places (k,) of states after the first, and their changes (k, nx + np)."""
-        found, at = [], np.eye(self.next.shape[1])
-        for states, following in zip(self.states, self.next):
-            found.append(states @ at)
-            at = following @ at
-        return self.places.ravel(), np.vstack(found)
-
-
-def _without(rows: Array, weights: Array) -> Array:
-    """Rows of the other unknowns, at least squares over the first."""
-    few = len(weights)
-    priced = np.hstack([np.diag(weights), np.zeros((few, rows.shape[1] - few))])
-    return np.asarray(np.linalg.qr(np.vstack([priced, rows]), mode="r"))[few:, few:]
-
-
-def _courses(solution: Solution) -> list[_Course]:
-    """Linearised dynamics of each experiment."""
     program, v = solution.program, solution.unknowns
     slope = csr_matrix(program.derivatives.jacobian[1](v)[1].sparse())
+    slope = slope.multiply(program.scale).multiply(1 / program.row_scale[:, None]).tocsr()
     price = program.derivatives.hessian(v, 1.0, np.zeros(len(program.row_lower))).sparse().diagonal()
-    count, found = program.parameters.stop - program.parameters.start, []
+    p, found = np.arange(program.parameters.start, program.parameters.stop), []
     for part in program.parts:
-        layout, N = part.layout, part.intervals
-        nx, node, width = layout.nx, layout.node, layout.column + layout.node
-        rows = np.arange(part.defects.start, part.defects.stop)
-        entry = slope[rows].tocoo()
-        interval, row = np.divmod(entry.row, len(rows) // N)
-        column = entry.col - part.first - layout.column * interval
-        column = np.where(entry.col < program.parameters.start, column, width + entry.col - program.parameters.start)
-        blocks = np.zeros((N, len(rows) // N, width + count))
-        blocks[interval, row, column] = entry.data * program.scale[entry.col] / program.row_scale[rows][entry.row]
-        of, local = part.coordinates[0][:width], np.arange(width)
-        follow, begin = local[(of < nx) & (local >= nx)], local[(of >= nx) & (local >= node)]
-        given = np.r_[begin, :node, width : width + count]
-        states = -np.linalg.solve(blocks[:, :, follow], blocks[:, :, given])
-        after = np.zeros((N, node + count, len(given)))
-        after[:, :nx] = states[:, -nx:]
-        after[:, nx:node, len(begin) - node + nx : len(begin)] = np.eye(node - nx)
-        after[:, node:, len(begin) + node :] = np.eye(count)
-        firsts = part.first + layout.column * np.arange(N)[:, None]
-        weights = [np.sqrt(price[at]) * program.scale[at] for at in (firsts + begin, part.first + np.arange(nx, node))]
-        found.append(_Course(part, firsts + follow, states, after, *weights))
+        cut = part.first + part.layout.nx
+        given, rest = np.r_[part.first : cut, p], np.arange(cut, part.last)
+        inputs = part.first + np.flatnonzero(part.coordinates[0] >= part.layout.nx)
+        roots = diags_array(np.sqrt(price) * program.scale, format="csr")[inputs]
+        priced, dynamics = vstack([_sampled(part, solution, residual), roots]).tocsc(), slope[part.defects].tocsc()
+        K = block_array([
+            [None, priced[:, rest].T, dynamics[:, rest].T],
+            [priced[:, rest], -eye_array(priced.shape[0]), None],
+            [dynamics[:, rest], None, None],
+        ], format="csc")  # fmt: skip
+        right = vstack([csc_matrix((len(rest), len(given))), priced[:, given], dynamics[:, given]]).toarray()
+        moves, residuals, _ = np.split(splu(K).solve(-right), [len(rest), len(rest) + priced.shape[0]])
+        found.append(_Course(rest, moves, residuals))
     return found
 
 
-def _sampled(part: PhasePart, solution: Solution, residual: ca.Function) -> list[Array]:
-    """Changes (k, node + np) of the whitened residuals at each node."""
+def _sampled(part: PhasePart, solution: Solution, residual: ca.Function) -> Any:
+    """Sparse changes (k, n) of the whitened residuals by all unknowns, in their sizes."""
     s = symbols_of(residual)
     value = residual(*s.values())
     slopes = ca.Function("slopes", list(s.values()), [ca.vec(ca.jacobian(value, ca.vertcat(s["x"], s["p"])))])
-    x, w, t, y, places = samples_of(part, solution)
-    H = np.asarray(slopes(x.T, w.T, solution.p, t[None], y.T), dtype=float).T
-    H = H.reshape(len(x), -1, value.numel()).transpose(0, 2, 1)
+    times, y, w, places = part.samples
+    t = part.phase.start_time + times[None]
+    H = np.asarray(slopes(solution.unknowns[places].T, w.T, solution.p, t, y.T), dtype=float).T
+    H = H.reshape(len(places), -1, value.numel()).transpose(0, 2, 1)
     scale, p = solution.program.scale, solution.program.parameters
-    by_nodes = np.zeros((*H.shape[:2], part.layout.node + len(solution.p)))
-    by_nodes[:, :, : part.layout.nx] = H[:, :, : part.layout.nx] * scale[places][:, None]
-    by_nodes[:, :, part.layout.node :] = H[:, :, part.layout.nx :] * scale[p]
-    at = (places[:, 0] - part.first) // part.layout.column
-    cuts = H.shape[1] * np.searchsorted(at, np.arange(1, part.intervals + 1))
-    return np.split(by_nodes.reshape(-1, by_nodes.shape[2]), cuts)
-
-
-def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array, Array, NDArray[np.int64]]:
-    """States, signals, times, data and places (n, ·) of a phase's samples."""
-    times, known = part.phase.samples
-    at = np.searchsorted(part.mesh, times / part.phase.duration[0] - LEAST_INTERVAL)
-    places = part.first + part.layout.column * at[:, None] + np.arange(part.layout.nx)
-    t = part.phase.start_time + times
-    return solution.unknowns[places], signal_at(part.phase, t), t, known, places
+    columns = np.hstack([places, np.tile(np.arange(p.start, p.stop), (len(places), 1))])
+    entries, width = H * scale[columns][:, None], columns.shape[1]
+    every = columns.repeat(value.numel(), axis=0).ravel()
+    ends = width * np.arange(len(places) * value.numel() + 1)
+    return csr_matrix((entries.ravel(), every, ends), (len(ends) - 1, len(scale)))
 
 
 def _names(program: NonlinearProgram, unknowns: NDArray[np.int64], firsts: list[NDArray[np.int64]]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from ccdtools_ground.door import as_share
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array
 from mpc.optimal_control.estimation.experiment import Experiment
-from mpc.optimal_control.estimation.information import Information, samples_of
+from mpc.optimal_control.estimation.information import Information
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 
 
@@ -126,8 +126,9 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
     firsts = np.stack([part.first + np.arange(part.layout.nx) for part in program.parts])
     residuals = []
     for one, part in zip(given, program.parts):
-        x, w, times, _, _ = samples_of(part, solution)
-        modelled = np.asarray(output(x.T, w.T, solution.p, times[None]), dtype=float).T
+        times, _, w, seen = part.samples
+        at = solution.unknowns[seen].T, w.T, solution.p, part.phase.start_time + times[None]
+        modelled = np.asarray(output(*at), dtype=float).T
         residuals.append(one.outputs - modelled)
     p_places = np.arange(program.parameters.start, program.parameters.stop)
     common = (solution.p, solution.unknowns[firsts])
