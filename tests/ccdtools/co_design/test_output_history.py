@@ -228,7 +228,7 @@ def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by, histo
 def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it(history):
     problem = stated(lambda x, u, p, f: [u - f])
     config = CoDesignConfig(iterations=10, starts=1, pathwise_runs=128, evaluation_runs=256)
-    found = codesign(problem, method=Learned(history=history, config=config), rng=np.random.default_rng(0))
+    found = Learned(history=history, config=config).run(problem, problem.design.centre, np.random.default_rng(0))
     assert found.gradients.trusted
 
 

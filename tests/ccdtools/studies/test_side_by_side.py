@@ -113,6 +113,12 @@ def test_every_use_gets_a_design_and_meets_the_designs_of_all(boat):
         line = next(line for line in changes if re.match(rf"{use} +design +[−+\d]", line))
         percent = 100 * (found[use, use, "LQG"] / found[use, "start", "LQG"] - 1)
         assert float(re.search(r"[−+]?[\d.]+", line)[0].replace("−", "-")) == pytest.approx(percent, abs=0.6)
+    assert (out / "report.html").read_text().count("<tr>") == 1 + 10 + 1 + 18
+    assert (out / "gains.csv").read_text().count("\n") == 1 + 10
+    assert (out / "side_by_side.png").read_bytes().startswith(b"\x89PNG")
+    again = CliRunner().invoke(app, ["resume", str(out)])
+    assert again.exit_code == 0, again.exception
+    assert again.output.split("\n\n")[1:-1] == done.output.split("\n\n")[1:-1]
 
 
 @pytest.mark.parametrize(
