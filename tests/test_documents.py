@@ -29,8 +29,9 @@ LONG = [  # co-designs; a policy and a twin that are trained
 HEAVY = dict.fromkeys(LONG, pytest.mark.check)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 RUN = [page for page in PAGES if page.name != "README.md" and BLOCK.search(page.read_text(encoding="utf-8"))]
-DRAWN = {DOCS / page for script in PICTURES for page in re.findall(r'run\("(.+?)"\)', script.read_text(encoding="utf-8"))}
-HERE = [page for page in RUN if not (page.name in LONG and page in DRAWN)]  # the pictures of those run all their blocks
+DRAWS = {script: re.findall(r'run\("(.+?)"\)', script.read_text(encoding="utf-8")) for script in PICTURES}
+DRAWN = {DOCS / page for pages in DRAWS.values() for page in pages}
+HERE = [page for page in RUN if not (page.name in LONG and page in DRAWN)]  # pictures of those run all their blocks
 
 
 def name(page: Path) -> str:

@@ -76,11 +76,12 @@ def clone_of(problem: CoDesignProblem, seed: int = 0):
     lower, upper = problem.observation_bounds
     points = rng.uniform(lower, upper, (2500, len(lower)))
     points[:, :2] *= 10 ** rng.uniform(-2, 0, (2500, 1))
-    A, B, _ = problem.model.matrices(points[:, 2:])
+    points[:, 2:] = np.repeat(points[::20, 2:], 20, axis=0)  # every 20 states share a design, and its LQR
+    A, B, _ = problem.model.matrices(points[::20, 2:])
     Q, R, bounds = problem.objective.Q, problem.objective.R, np.array(problem.input_bounds)
     data = tuple(array.tobytes() for array in (points, A, B, Q, R, bounds))
     if data not in _clones:
-        K = np.array([lqr(a, b, Q=Q, R=R)[0] for a, b in zip(A, B)])
+        K = np.repeat([lqr(a, b, Q=Q, R=R)[0] for a, b in zip(A, B)], 20, axis=0)
         u = np.clip(-np.einsum("nij,nj->ni", K, points[:, :2]), *bounds)
         _clones[data] = fit_actor_critic(
             points, u, -np.square(points[:, :2]).sum(axis=1), action_bounds=problem.input_bounds,

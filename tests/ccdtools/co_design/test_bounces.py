@@ -9,10 +9,11 @@ from small_plants import clone_of
 
 from ccdtools import CoDesignConfig, closed_loop_returns, codesign, saturated_lqr
 
+# A block that does not gain the whole return ends a climb, which calls itself level.
 BRIEF = CoDesignConfig(
     design_rate=0.0, iterations=4, block=2, tolerance=0.99, runs=16, pathwise_runs=16, evaluation_runs=50,
     evaluate_every=2,
-)  # a block that does not gain the whole return ends a climb, which calls itself level
+)  # fmt: skip
 
 
 @pytest.mark.check

@@ -73,7 +73,7 @@ def test_cost_and_effort_are_those_of_the_trajectory(drivers):
 BOAT = """
 import casadi as ca
 import numpy as np
-from ccdtools import CustomObjective, DesignSpace, Gaussian, Plant, RealPlant
+from ccdtools import CoDesignConfig, CustomObjective, DesignSpace, Gaussian, Plant, RealPlant
 from ccdtools.studies import SideBySide
 
 def plant(drag):
@@ -88,6 +88,7 @@ study = SideBySide(
     x0=[1.0, 0.0], p0=[1.0, 0.5], uses={"calm": calm, "rough": rough}, noise=[0.05], history=3, limit_tolerance="off",
     real=RealPlant(plant(0.1), calm, [1.0, 0.0], 10, 60, held_out={"calm": calm, "rough": rough}),
     metrics=lambda run: {"mean square input": float(np.mean(run.inputs**2))},
+    settings={"codesign": CoDesignConfig(iterations=4), "held_out_steps": 100},
 )
 """
 
