@@ -1,6 +1,5 @@
 """What goes on where a climb ended behind a baseline: from its design, by what leads there."""
 
-import copy
 from dataclasses import dataclass, field, replace
 
 import casadi as ca

@@ -211,6 +211,7 @@ def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_t
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize(("by", "history"), [("pathwise", 2), ("ppo", 2), ("pathwise", None)])
 def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by, history):
     open_plant = stated(lambda x, u, p, f: [x[0]])
@@ -224,6 +225,7 @@ def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by, histo
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("history", [M, None])
 def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it(history):
     problem = stated(lambda x, u, p, f: [u - f])
@@ -245,6 +247,7 @@ def test_sensors_that_no_history_can_be_made_of_are_refused(measurement, words):
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 def test_the_first_policy_of_outputs_is_the_same_in_any_unit():
     def own(unit):
         """Return of the first policy, with lengths in this unit."""
@@ -288,6 +291,7 @@ def test_what_no_history_can_be_learned_from_is_told():
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 def test_a_policy_of_the_state_is_trained_at_every_design_where_the_state_is_measured():
     problem = stated(lambda x, u, p, f: [x[0]], steps=10)
     found = codesign(problem, method=Nested("rl", evaluations=1, runs=8), rng=np.random.default_rng(0))
