@@ -88,7 +88,7 @@ study = SideBySide(
     x0=[1.0, 0.0], p0=[1.0, 0.5], uses={"calm": calm, "rough": rough}, noise=[0.05], history=3, limit_tolerance="off",
     real=RealPlant(plant(0.1), calm, [1.0, 0.0], 10, 60, held_out={"calm": calm, "rough": rough}),
     metrics=lambda run: {"mean square input": float(np.mean(run.inputs**2))},
-    settings={"codesign": CoDesignConfig(iterations=4), "held_out_steps": 100},
+    settings={"codesign": CoDesignConfig(iterations=4), "held_out_steps": 20},
 )
 """
 
