@@ -294,7 +294,7 @@ def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]
 
     def law(_: int, state: Array) -> Array:
         """Saturated input."""
-        return nearest(finite(-gain @ state)[None])[0]
+        return np.asarray(nearest(finite(-gain @ state)[None])[0])
 
     with np.errstate(over="ignore", invalid="ignore"):
         return simulated(problem, x, push, law)
