@@ -211,7 +211,6 @@ def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_t
 
 
 @pytest.mark.check
-@pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize(("by", "history"), [("pathwise", 2), ("ppo", 2), ("pathwise", None)])
 def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by, history):
     open_plant = stated(lambda x, u, p, f: [x[0]])

@@ -135,7 +135,6 @@ def test_a_plant_that_is_as_modelled_is_not_made_worse():
 
 
 @pytest.mark.check
-@pytest.mark.usefixtures("brief")
 def test_mpc_and_a_policy_of_outputs_are_redesigned_too():
     config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)
     for method in (Nested("mpc", starts=1, evaluations=6), Learned(history=6, config=config)):

@@ -12,12 +12,11 @@ from ccdtools.studies import Generations, RunFolder, load_study
 from ccdtools.studies.report.report import write_report
 
 
-@pytest.mark.check
-@pytest.mark.parametrize("steps", [120, pytest.param(500, marks=pytest.mark.slow)])
-def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path, steps):
+@pytest.mark.slow
+def test_two_generations_of_a_vehicle_come_to_a_report_that_shows_how_it_rides(tmp_path):
     """Episodes of 20 steps, and hardly any iterations."""
     study = load_study("quarter_car")
-    real = replace(study.real, runs=1, steps=steps, held_out={"other": study.disturbance})
+    real = replace(study.real, runs=1, steps=500, held_out={"other": study.disturbance})
     study = replace(study, steps=20, real=real)
     config = replace(tiny_configuration(study, sets="none"), held_out_runs=2, held_out_steps=50)
     folder = RunFolder.create(tmp_path / "quarter_car")
