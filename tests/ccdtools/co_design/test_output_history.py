@@ -290,7 +290,6 @@ def test_what_no_history_can_be_learned_from_is_told():
 
 
 @pytest.mark.check
-@pytest.mark.usefixtures("brief")
 def test_a_policy_of_the_state_is_trained_at_every_design_where_the_state_is_measured():
     problem = stated(lambda x, u, p, f: [x[0]], steps=10)
     found = codesign(problem, method=Nested("rl", evaluations=1, runs=8), rng=np.random.default_rng(0))
