@@ -8,13 +8,16 @@ NO_ALGEBRA := notebook or benchmark or codegen or plotting or import or bad_inpu
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run test check kernels targets lint bench docs notebooks pictures clean
+.PHONY: run test quick check kernels targets lint bench docs notebooks pictures clean
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## a semi-active car for two drivers, start to report, within two minutes on two cores
 	$(BIN)/ccdtools run semi_active_damper --generations 1 $(ARGS)
 
-test: $(SETUP) lint    ## lint, types, import contracts and every quick test: within five minutes on two cores
+test: $(SETUP)         ## lint, types, import contracts and every quick test: within five minutes on two cores
+	@$(MAKE) --no-print-directory --jobs 2 lint quick
+
+quick: $(SETUP)        ## every quick test
 	$(PYTEST) -m "not check and not slow" --durations 5 --durations-min 4
 
 check: $(SETUP)        ## everything else: whole runs, notebooks, long sweeps, and an old processor's kernels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,17 +57,27 @@ def is_empty(H: Array, h: Array) -> bool:
 
 def nearest_points(V: Array, H: Array, h: Array) -> Array:
     """Points (n, nu) of {v : Hv <= h} nearest to rows of V, in units of the set."""
+    return projection(H, h)(V)
+
+
+def projection(H: Array, h: Array) -> Callable[[Array], Array]:
+    """Function of rows V: `nearest_points` of one set, for many calls."""
     box = box_of(H, h)
     if box is not None:
-        return np.asarray(np.clip(V, *box), dtype=np.float64)
+        return lambda V: np.asarray(np.clip(V, *box), dtype=np.float64)
     extent = along_axes(H, h)
     metric = 1 / np.where(extent > 0, extent, 1.0)
-    near = np.empty(V.shape)
-    for k, v in enumerate(V):
-        distance = float(np.abs(v * metric).max())
-        shrunk = v * metric / max(1.0, distance * np.sqrt(EPS))  # so far away only the direction counts
-        near[k] = DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
-    return near
+
+    def nearest(V: Array) -> Array:
+        """Points (n, nu) by a program each."""
+        near = np.empty(V.shape)
+        for k, v in enumerate(V):
+            distance = float(np.abs(v * metric).max())
+            shrunk = v * metric / max(1.0, distance * np.sqrt(EPS))  # so far away only the direction counts
+            near[k] = DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
+        return near
+
+    return nearest
 
 
 @dataclass(frozen=True, eq=False)

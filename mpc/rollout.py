@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array, Flags, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.feedback import block_lengths
-from mpc.halfspaces import nearest_points
+from mpc.halfspaces import nearest_points, projection
 from mpc.problem import MPCProblem
 
 Given = dict[str, Array]
@@ -44,13 +44,14 @@ def rollout_with_feedback(
     starts = np.cumsum([0, *block_lengths(problem)])[:-1].tolist()
     wanted = np.empty(deviations.shape)
     held = np.empty(deviations.shape)
+    nearest = projection(*problem.input_rows)
 
     def law(k: int, state: Array) -> Array:
         """Input of a block, from the state at its start."""
         b = bisect_right(starts, k) - 1
         if k == starts[b]:
             wanted[b] = finite(deviations[b] - feedback[b] @ state)
-            held[b] = nearest_points(wanted[b][None], *problem.input_rows)[0]
+            held[b] = nearest(wanted[b][None])[0]
         return np.asarray(held[b])
 
     inputs, states = simulated(problem, x, pushes(problem, given), law)

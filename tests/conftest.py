@@ -45,6 +45,16 @@ def _same_draws():
 
 
 @pytest.fixture
+def brief(monkeypatch):
+    """First policies are made in a few steps, for a test that does not look at how good they are."""
+    from ccdtools.co_design.imitation import policy_from_scratch
+    from learning import CloningConfig
+
+    monkeypatch.setattr(CloningConfig.__init__, "__defaults__", (300, 256, 4e-3))
+    monkeypatch.setitem(policy_from_scratch.__kwdefaults__, "updates", 10)
+
+
+@pytest.fixture
 def rng():
     """Return a seeded generator."""
     return np.random.default_rng(20240611)

@@ -13,7 +13,7 @@ NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d*)?(?:e[-+]?\d+)?")
 TIME = re.compile(r"[\d.]+ m?s\b")  # another one each time
 
 
-def kept(stem):
+def kept(stem, folder=None):
     return nbformat.read(next(path for path in NOTEBOOKS if path.stem.startswith(stem)), as_version=4)
 
 
@@ -46,6 +46,9 @@ def same_numbers(before, after, rel):
         assert numbers[1] == pytest.approx(numbers[0], rel=rel, abs=1e-5)
 
 
+LONG = pytest.mark.parametrize("of", [kept, pytest.param(run_again, marks=pytest.mark.slow)], ids=["kept", "again"])
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_a_notebook_is_kept_executed_with_its_figures(path):
     code = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
@@ -73,16 +76,16 @@ def test_the_loop_runs_as_the_first_notebook_shows(tmp_path):
         assert float(rows[-1].split("[")[1].split(",")[0]) > 0  # better than LQR on the real plant, after one update
 
 
-@pytest.mark.slow
-def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(tmp_path):
-    for notebook in (kept("06"), run_again("06", tmp_path)):
-        told = [o["data"]["text/plain"] for c in notebook.cells for o in c.get("outputs", []) if "data" in o]
-        table = next(text for text in told if "learned, observed" in text)
-        means = dict(re.split(r"\s{2,}", line)[:2] for line in table.splitlines() if not line.startswith("*"))
-        rows = {name: float(means[name]) for name in ("learned", "LQR", "learned, observed", "passive")}
-        assert rows["learned"] > 1.02 * rows["LQR"]  # returns are negative: hardly worse, if at all
-        assert rows["learned, observed"] > 2 * rows["learned"]
-        assert rows["passive"] < 1.5 * rows["LQR"]
+@LONG
+def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(of, tmp_path):
+    notebook = of("06", tmp_path)
+    told = [o["data"]["text/plain"] for c in notebook.cells for o in c.get("outputs", []) if "data" in o]
+    table = next(text for text in told if "learned, observed" in text)
+    means = dict(re.split(r"\s{2,}", line)[:2] for line in table.splitlines() if not line.startswith("*"))
+    rows = {name: float(means[name]) for name in ("learned", "LQR", "learned, observed", "passive")}
+    assert rows["learned"] > 1.02 * rows["LQR"]  # returns are negative: hardly worse, if at all
+    assert rows["learned, observed"] > 2 * rows["learned"]
+    assert rows["passive"] < 1.5 * rows["LQR"]
 
 
 @pytest.mark.check
@@ -147,30 +150,30 @@ def test_a_log_gives_a_guarantee_with_the_price_and_coverage_of_its_notebook(tmp
         assert 78 <= float(re.findall(r"(\d+)%", tube)[-2]) <= 100  # of 60 windows that calibrate 90 %
 
 
-@pytest.mark.slow
-def test_optimal_control_swings_up_and_keeps_the_track_as_its_notebook_shows(tmp_path):
-    for notebook in (kept("04"), run_again("04", tmp_path)):
-        lines = "".join(printed(notebook)).splitlines()
-        mpc = [line for line in lines if line.startswith("nonlinear MPC, ")]
-        assert len(mpc) == 2
-        assert not any("(" in line for line in mpc)  # up from every start
-        replayed = next(line for line in lines if line.startswith("replayed"))
-        assert replayed.count("(") > 5
-        ratio = next(line for line in lines if line.startswith("real-time iteration beside"))
-        assert all(abs(float(word)) < 1 for word in ratio.split() if word[0] in "+-" and word != "+-")
-        alone, several = (next(line for line in lines if line.startswith(name)) for name in ("from the g", "from five"))
-        efforts = [float(line.split("effort ")[1].split(",")[0]) for line in (alone, several)]
-        assert "SOLVED" in several
-        assert efforts[1] < 0.8 * efforts[0]
-        up = next(line for line in lines if line.startswith("angle after 3 s"))  # by position and angle alone
-        assert abs(float(up.split()[4])) < 0.1
+@LONG
+def test_optimal_control_swings_up_and_keeps_the_track_as_its_notebook_shows(of, tmp_path):
+    notebook = of("04", tmp_path)
+    lines = "".join(printed(notebook)).splitlines()
+    mpc = [line for line in lines if line.startswith("nonlinear MPC, ")]
+    assert len(mpc) == 2
+    assert not any("(" in line for line in mpc)  # up from every start
+    replayed = next(line for line in lines if line.startswith("replayed"))
+    assert replayed.count("(") > 5
+    ratio = next(line for line in lines if line.startswith("real-time iteration beside"))
+    assert all(abs(float(word)) < 1 for word in ratio.split() if word[0] in "+-" and word != "+-")
+    alone, several = (next(line for line in lines if line.startswith(name)) for name in ("from the g", "from five"))
+    efforts = [float(line.split("effort ")[1].split(",")[0]) for line in (alone, several)]
+    assert "SOLVED" in several
+    assert efforts[1] < 0.8 * efforts[0]
+    up = next(line for line in lines if line.startswith("angle after 3 s"))  # by position and angle alone
+    assert abs(float(up.split()[4])) < 0.1
 
 
-@pytest.mark.slow
-def test_methods_agree_on_the_suspension_and_not_on_the_mast_as_the_notebook_shows(tmp_path):
-    for notebook in (kept("05"), run_again("05", tmp_path)):
-        suspension, mast = "".join(printed(notebook)).split("method  ")[1:3]
-        same = next(line for line in suspension.splitlines() if line.startswith("Equal within"))
-        assert all(name in same for name in ("sequential", "nested MPC", "simultaneous gain", "CMA-ES", "learned"))
-        worse = {line.split(":")[0] for line in mast.splitlines() if " worse than nested LQR" in line}
-        assert {"sequential", "nested Riccati", "simultaneous"} <= worse
+@LONG
+def test_methods_agree_on_the_suspension_and_not_on_the_mast_as_the_notebook_shows(of, tmp_path):
+    notebook = of("05", tmp_path)
+    suspension, mast = "".join(printed(notebook)).split("method  ")[1:3]
+    same = next(line for line in suspension.splitlines() if line.startswith("Equal within"))
+    assert all(name in same for name in ("sequential", "nested MPC", "simultaneous gain", "CMA-ES", "learned"))
+    worse = {line.split(":")[0] for line in mast.splitlines() if " worse than nested LQR" in line}
+    assert {"sequential", "nested Riccati", "simultaneous"} <= worse

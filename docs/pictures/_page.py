@@ -1,6 +1,7 @@
 """What the Python blocks of a page leave behind, so that its picture is the one that its code draws."""
 
 import contextlib
+import functools
 import re
 import tempfile
 from pathlib import Path
@@ -15,13 +16,15 @@ import matplotlib.pyplot as plt
 DOCS = Path(__file__).parents[1]
 
 
+@functools.cache
 def run(page: str) -> dict[str, Any]:
-    """Names that the Python blocks of `page`, a path below docs/, have defined."""
+    """Names that the Python blocks of `page`, a path below docs/, have defined; several pictures share them."""
     text = (DOCS / page).read_text(encoding="utf-8")
     names: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # for the files that a page writes
-        for block in re.findall(r"```python\n(.*?)```", text, re.S):
-            exec(compile(block, page, "exec"), names)
+        for block in re.finditer(r"```python\n(.*?)```", text, re.S):
+            before = "\n" * text[: block.start()].count("\n")  # an error names the line of the page
+            exec(compile(f"{before}\n{block[1]}", page, "exec"), names)
     return names
 
 

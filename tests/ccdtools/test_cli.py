@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tiny_command
 
 pytestmark = pytest.mark.check  # whole runs, in processes of their own
 
@@ -47,8 +48,8 @@ study = Study(
 '''
 
 
-def ccdtools(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
-    return subprocess.run([*CCDTOOLS, *arguments], cwd=cwd, capture_output=True, text=True, timeout=500)
+def ccdtools(*arguments: str, cwd: Path, program=CCDTOOLS, **options) -> subprocess.CompletedProcess:
+    return subprocess.run([*program, *arguments], cwd=cwd, capture_output=True, text=True, timeout=500, **options)
 
 
 @pytest.fixture(scope="module")
@@ -171,11 +172,12 @@ def test_third_study_is_one_file(tmp_path):
 
 def test_recorded_disturbance_drives_the_real_plant(tmp_path):
     rng = np.random.default_rng(0)
-    signal_ = np.convolve(rng.standard_normal(1200), np.ones(3) / 6, mode="same")
+    signal_ = np.convolve(rng.standard_normal(500), np.ones(3) / 6, mode="same")
     (tmp_path / "z.csv").write_text("dz_dt\n" + "\n".join(map(str, signal_)) + "\n")
-    done = ccdtools("run", "suspension", "--quick", "--generations", "1", "--disturbance", "z.csv", "--output", "out",
-                    cwd=tmp_path)  # fmt: skip
+    given = ["run", "suspension", "--generations", "1", "--disturbance", "z.csv", "--sets", "lqr", "--output", "out"]
+    program, paths = [sys.executable, tiny_command.__file__], {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = ccdtools(*given, cwd=tmp_path, program=program, env=os.environ | paths)
     assert done.returncode == 0, done.stderr
     with np.load(tmp_path / "out" / "stages" / "deployment-1" / "arrays.npz") as log:
         np.testing.assert_allclose(log["disturbances"][0, :, 0], signal_)
-    assert results_of(tmp_path / "out")["deployment_steps"] == 1200
+    assert results_of(tmp_path / "out")["deployment_steps"] == 500

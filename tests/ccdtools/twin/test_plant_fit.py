@@ -516,11 +516,11 @@ def test_of_states_a_push_that_nothing_states_is_not_known_and_one_that_is_state
 @pytest.mark.parametrize("steps", [5, 10, 30])
 def test_of_states_a_short_log_has_wide_intervals(steps):
     held = 0
+    problem, real, wide = stated(measurement=None), spring(0.5), spring(names=("gain",))
+    law = saturated_lqr(problem, P)
     for seed in range(60):
-        problem = stated(measurement=None)
         w = Gaussian([0.3]).sample(1, steps, np.random.default_rng(seed))
-        log = deploy(spring(0.5), saturated_lqr(problem, P), P, w, x0=START)
-        low, high = fit_plant(problem, log, plant=spring(names=("gain",))).intervals()[0]
+        low, high = fit_plant(problem, deploy(real, law, P, w, x0=START), plant=wide).intervals()[0]
         held += bool(low <= 0.5 <= high)
     assert held >= 50
 

@@ -90,9 +90,11 @@ def test_a_reference_that_no_input_holds_gets_the_nearest_one():
 
 
 @pytest.mark.quick(1)
-@pytest.mark.parametrize(("sx", "su"), [(1.0, 1.0), (1e3, 1e-2), (1e-4, 3.6e3)])
-@pytest.mark.parametrize("limits", [{}, {"X": 2.0}], ids=["inputs", "states, too"])
-@pytest.mark.parametrize("reference", [0.27, 0.3, 1.0])
+@pytest.mark.parametrize(
+    ("reference", "limits", "sx", "su"),
+    [(0.27, {}, 1.0, 1.0), (0.27, {"X": 2.0}, 1e3, 1e-2), (0.3, {}, 1e-4, 3.6e3), (0.3, {"X": 2.0}, 1.0, 1.0),
+     (1.0, {}, 1e3, 1e-2), (1.0, {"X": 2.0}, 1e-4, 3.6e3)],
+)  # fmt: skip
 def test_beyond_the_top_of_a_curve_of_steady_states_the_top_is_held(reference, limits, sx, su):
     def brewed(x, u):  # at rest x = u - u², at most 0.25
         return x + 0.1 * (-x + u - u**2)

@@ -23,7 +23,7 @@ from ccdtools import (
 from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, simulated, to_design
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
-from learning import PPOConfig, collect, fit_actor_critic
+from learning import CloningConfig, PPOConfig, collect, fit_actor_critic
 from learning.ppo import prepare
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
@@ -156,7 +156,7 @@ def test_the_papers_design_gradient_weighs_the_price_as_the_steps_it_is_weighed_
     data = expert_dataset(own, samples=60, rng=np.random.default_rng(0), sets="lqr")
     agent = fit_actor_critic(
         data.inputs, data.actions, data.values, rng=np.random.default_rng(0), action_bounds=own.input_bounds,
-        input_bounds=own.observation_bounds,
+        input_bounds=own.observation_bounds, config=CloningConfig(steps=300, batch=256),
     )  # fmt: skip
     env = EpisodeEnv(own, torch.tensor(P0, dtype=torch.float32), runs=32, rng=np.random.default_rng(1))
     rollout = collect(env, agent, steps=30, generator=torch.Generator().manual_seed(0))

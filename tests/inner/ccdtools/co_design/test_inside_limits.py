@@ -41,9 +41,8 @@ def test_where_the_limits_never_bind_the_results_are_those_without_limits(name, 
     results = []
     for tolerance in ("mpc", "off"):
         problem = replace(study.problem(), limit_tolerance=tolerance)
-        config = cc.CoDesignConfig(**QUICK)
-        results.append(cc.codesign(problem, agent=clone(study), design=study.p0, rng=np.random.default_rng(1),
-                                   config=config))  # fmt: skip
+        learned = cc.Learned(agent=clone(study), config=cc.CoDesignConfig(**QUICK))
+        results.append(learned.run(problem, np.array(study.p0), np.random.default_rng(1)))
     kept, off = results
     np.testing.assert_array_equal(kept.design, off.design)
     np.testing.assert_array_equal(kept.history.model_return, off.history.model_return)
@@ -92,9 +91,10 @@ def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_des
     assert abs(float(near.at(v + 0.06)[0]) - there.allowed.fraction) < 0.3 * abs(constant)
 
 
-@pytest.mark.slow
-def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
-    lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
+@pytest.mark.check
+@pytest.mark.parametrize("steps", [4, pytest.param(60, marks=pytest.mark.slow)])
+def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves(steps):
+    lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])), steps=steps)
     allowed = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))
     assert allowed.allowed == Pair(0.002, 0.002)
 

@@ -11,10 +11,10 @@ from ccdtools import (
     DesignSpace,
     FixedStart,
     Gaussian,
+    Learned,
     LearnedPolicy,
     Plant,
     QuadraticObjective,
-    codesign,
     discretise,
     saturated_lqr,
     simulate,
@@ -125,7 +125,7 @@ def test_a_co_design_on_a_pole_without_small_angles_is_better_than_lqr_there(car
         input_bounds=cart.observation_bounds, network=NetworkConfig((32, 32)), config=CloningConfig(steps=800),
     )  # fmt: skip
     few = CoDesignConfig(iterations=40, block=20, starts=1, pathwise_runs=64, evaluation_runs=100)
-    result = codesign(cart, agent=agent, design=[0.5, 0.5], rng=rng, config=few)
+    result = Learned(agent=agent, config=few).run(cart, np.array([0.5, 0.5]), rng)
     w = NOISE.sample(400, 100, np.random.default_rng(7))
     runs = [
         simulate(cart.model, law, x0=np.tile([0.0, 0.0, 0.5, 0.0], (400, 1)), steps=100, disturbance=w,

@@ -269,19 +269,19 @@ def test_a_recording_is_kept_with_the_run(whole, tmp_path):
 
 
 @pytest.mark.check
-@pytest.mark.parametrize("stage", ["initialisation", "deployment-1", "comparison-2"])
-def test_a_run_that_is_killed_ends_like_one_that_is_not(whole, tmp_path, stage):
+def test_a_run_that_is_killed_again_and_again_ends_like_one_that_is_not(whole, tmp_path):
     run = tmp_path / "run"
-    process = subprocess.Popen(
-        [*COMMAND, "run", str(whole / "spring.py"), "--output", str(run), *ARGUMENTS],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    deadline = time.monotonic() + 200
-    while not (run / "stages" / stage).is_dir() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.002)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
-    assert process.returncode == -signal.SIGKILL
+    begin, resume = ["run", str(whole / "spring.py"), "--output", str(run), *ARGUMENTS], ["resume", str(run)]
+    for arguments, stage in ((begin, "initialisation"), (resume, "deployment-1"), (resume, "comparison-2")):
+        process = subprocess.Popen(
+            [*COMMAND, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+        )  # fmt: skip
+        deadline = time.monotonic() + 200
+        while not (run / "stages" / stage).is_dir() and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.002)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        assert process.returncode == -signal.SIGKILL
     assert call("resume", str(run)) == 0
     assert outcome(run) == outcome(whole / "run")
