@@ -20,7 +20,7 @@ from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_count, as_floats, as_instance, has_method
 
 SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
-EXPECTED = "an estimator, such as a KalmanFilter or an CubatureKalmanFilter"
+EXPECTED = "an estimator, such as a KalmanFilter or a CubatureKalmanFilter"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,13 +113,13 @@ class Observed(Around):
         """Write a learned policy and its filter in C99, and report the costs of the policy.
 
         As `History.to_c`; x of `name_law` is the estimate. An output that is not finite leaves none until a reset. Of
-        an `CubatureKalmanFilter`, the code may call functions of math.h.
+        a `CubatureKalmanFilter`, the code may call functions of math.h.
 
         Raises
         ------
         InputError
             As `LearnedPolicy.to_c`; or if the controller is no `LearnedPolicy`, the estimator neither a `KalmanFilter`
-            nor an `CubatureKalmanFilter`, or that has an implicit step or outputs by a function in Python.
+            nor a `CubatureKalmanFilter`, or that has an implicit step or outputs by a function in Python.
         """
         policy, known = self._parts()
         return policy.to_c(folder, name=name, scalar=scalar, estimator=known)
@@ -151,7 +151,7 @@ class Observed(Around):
         """Policy and filter that leave Python."""
         policy = self._learned
         cure = "The model of another filter stays in Python: save the policy, and put the filter around it again."
-        known = as_instance("estimator", self.estimator, Filter, "a KalmanFilter or an CubatureKalmanFilter", cure)
+        known = as_instance("estimator", self.estimator, Filter, "a KalmanFilter or a CubatureKalmanFilter", cure)
         if policy.nx != known.nx or policy.nu != known.nu:
             got = f"{known.nx} states and {known.nu} inputs"
             raise InputError("estimator", got, f"{policy.nx} and {policy.nu}, of the policy")
