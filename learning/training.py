@@ -138,6 +138,7 @@ def train(
 
     There are `iterations` rollouts of `steps` steps. A rollout goes on where the last one ended. The rates fall
     linearly to `config.final_rate`, the exploration geometrically to `config.final_std`.
+    Small networks are trained fastest by one thread, ``torch.set_num_threads(1)``.
 
     Parameters
     ----------
