@@ -26,6 +26,17 @@ def operations(function: ca.Function | None) -> set[int]:
     return {function.instruction_id(i) for i in range(function.n_instructions())}
 
 
+def bent_rows(value: Any, z: Any) -> list[int]:
+    """Rows that are not affine in z; what may jump is not, though its derivative is constant."""
+    slope, given = ca.jacobian(value, z), ca.symvar(value)
+
+    def jumps(row: Any) -> bool:
+        """Whether a row has such operations."""
+        return bool(JUMPS.keys() & operations(ca.Function("row", given, [row])))
+
+    return [i for i in range(value.numel()) if ca.depends_on(slope[i, :], z) or jumps(value[i])]
+
+
 def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
     """Sizes of the terms in a function's entries, proportional to rounding.
 

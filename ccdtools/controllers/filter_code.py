@@ -12,6 +12,7 @@ import numpy as np
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.casadi_operations import c_operations
+from ccdtools_ground.operations import bent_rows
 from mpc.explicit.codegen.c_source import fill, real, table
 from mpc.tolerances import ROUNDED_SUM
 
@@ -204,7 +205,8 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
                 const real odd = (up[j][i] - down[j][i]) * (up[j][k] - down[j][k]) / 4;
                 sum += root[j * @n@ + j] > 0 ? (odd + even * other) / count : 0;
             }
-            own[i * @m@ + k] = own[k * @m@ + i] = sum;
+            own[i * @m@ + k] = sum;
+            own[k * @m@ + i] = sum;
         }
     }
 }
@@ -255,7 +257,7 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     found = {}
     for f, (m, n, of, whole, template, value) in each.items():
         slope = ca.jacobian(whole, of)
-        if ca.depends_on(slope, of):
+        if bent_rows(whole, of):
             text, body = template + CUBATURE, _body([of, u], {"value": value}, ["z[{}]", "u[{}]"], scalar)
         else:
             H, G = ca.horzsplit(slope, [0, plant.nx, slope.shape[1]])
@@ -263,7 +265,7 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
             results = {"mean": ca.substitute(whole, w, ca.DM(mean)), "slope": H.T, "own": own}
             text, body = LINEAR, _body([x, u], results, ["x[{}]", "u[{}]"], scalar)
         found[f] = fill(text, one | {"f": f, "m": m, "n": n, "body": body})
-    rounding = ROUNDED_SUM / np.finfo(float).eps * np.finfo(np.float32 if scalar == "float" else float).eps
+    rounding = max(ROUNDED_SUM, 4 * float(np.finfo(np.float32 if scalar == "float" else float).eps))
     held = {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
     needed = HELD + ROOT if "root_of" in "".join(found.values()) else ""
     tools = fill(needed, one | held | {"rounding": real(rounding, scalar)})

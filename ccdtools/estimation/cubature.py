@@ -17,7 +17,6 @@ from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
 from ccdtools.estimation.regression import Regressed, points, regressed, regressed_step, regression, root
 from ccdtools.estimation.steady_state import Detectability, detectability
-from ccdtools.estimation.tolerances import DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised, function_of
 from ccdtools.plants.linear_model import LinearModel
@@ -117,10 +116,13 @@ class CubatureKalmanFilter(Filter):
 
     def _slopes(self, x: Array) -> tuple[Array, Array]:
         """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx) without input."""
-        variances = DIFFERENCE_STEP**2 * np.where(np.diag(self.P0) > 0, np.diag(self.P0), 1.0)
-        belief, u = Belief(x, np.tile(np.diag(variances), (len(x), 1, 1))), np.zeros((len(x), self.nu))
-        slopes = self._transition(belief, u)[1], self._expected(belief, u)[1]
-        return tuple(np.broadcast_to(part, (len(x), *part.shape[-2:])) for part in slopes)  # type: ignore[return-value]
+        u, spread = np.zeros((len(x), self.nu)), np.sqrt(np.maximum(np.diag(self.P0), 0.0))
+        at, _, held = self._symbols
+        slope = ca.jacobian(self._step(at, held, ca.DM(self.disturbance[0])), at)
+        F = ca.Function("F", [at, held], [ca.densify(slope)])(x.T, u.T)
+        H = self._h.slope(x, u, np.tile(np.where(spread > 0, spread, 1.0), (len(x), 1)))
+        every = np.asarray(F, dtype=float).reshape(self.nx, len(x), self.nx).swapaxes(0, 1)
+        return every, np.broadcast_to(H, (len(x), *H.shape[-2:]))
 
     def _checked_design(self) -> Array:
         """Design (np,), empty where the model has none."""

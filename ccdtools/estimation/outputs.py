@@ -17,6 +17,7 @@ from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools_ground.door import as_array, as_floats, shown
+from ccdtools_ground.operations import bent_rows
 
 FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
 LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use a CubatureKalmanFilter."
@@ -130,7 +131,7 @@ def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
 def linear_outputs(plant: Plant) -> bool:
     """Whether a plant's outputs are linear in x and u."""
     z = ca.vertcat(plant.x, plant.u)
-    return not ca.depends_on(ca.jacobian(plant.outputs, z), z)
+    return not bent_rows(plant.outputs, z)
 
 
 def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:

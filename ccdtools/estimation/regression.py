@@ -1,7 +1,7 @@
 """Beliefs of a cubature Kalman filter as CasADi expressions.
 
 A function of a belief is its mean, its slope over the belief, and the covariance that the slope misses. With these the
-rest is the Kalman filter; a linear function has its own slope and misses nothing.
+rest is the Kalman filter; a row that is linear has its own slope and misses nothing.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 
+from ccdtools_ground.operations import bent_rows
 from mpc.tolerances import ROUNDED_SUM
 
 Regressed = tuple[Any, Any, Any]  # mean (m,), slope (m, n), covariance (m, m) that the slope misses
@@ -63,13 +64,16 @@ def regression(function: Callable[[Any], Any], x: Any, P: Any) -> Regressed:
     """Mean, slope and what it misses of a function of expressions (n,) over a belief."""
     n, z = x.numel(), type(x).sym("z", x.numel())
     value = function(z)
-    slope = ca.jacobian(value, z)
-    if not ca.depends_on(slope, z):
-        return *ca.substitute([value, slope], [z], [x]), ca.DM.zeros(value.numel(), value.numel())
+    m, curved = value.numel(), bent_rows(value, z)
+    straight, bent = (ca.DM.eye(m)[:, rows] for rows in (sorted({*range(m)} - {*curved}), curved))
+    exact = ca.substitute([straight.T @ value, straight.T @ ca.jacobian(value, z)], [z], [x])
+    mean, slope = (straight @ part for part in exact)
+    if not curved:
+        return mean, slope, ca.DM.zeros(m, m)
     L = root(n)(P)
-    values = ca.horzcat(*map(function, ca.horzsplit(points(n)(x, L))))
-    mean, slope, missed = regressed(value.numel(), n)(values, L)
-    return mean, slope, missed
+    values = ca.horzcat(*(bent.T @ function(point) for point in ca.horzsplit(points(n)(x, L))))
+    over, by, missed = regressed(len(curved), n)(values, L)
+    return mean + bent @ over, slope + bent @ by, bent @ missed @ bent.T
 
 
 def regressed_step(step: Callable[[Any, Any], Any], x: Any, P: Any, disturbance: tuple[Any, Any]) -> Regressed:

@@ -228,6 +228,27 @@ def driven(law, y, u):
 
 
 @needs_compiler
+@pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-10), ("float", 1e-3)])
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_c_code_of_a_filter_sees_a_difference_that_is_nearly_known(tmp_path, rng, scalar, tolerance, n):
+    x, u, none = ca.SX.sym("x", n), ca.SX.sym("u", NU), ca.SX(0, 1)
+    plant = Plant(x, u, none, none, x + 1e-3 * (ca.sin(x) + u[0]), DesignSpace([], [], []), dt=0.1, continuous=False,
+                  outputs=[ca.sin(x[-1] - (x[0] if n > 1 else 0.0))])  # fmt: skip
+    P0 = [[0.01]] if n == 1 else [[4.0, 4.0], [4.0, 4.0001]]
+    estimator = CubatureKalmanFilter(plant, W=np.full(n, 1e-6), V=[1e-4], P0=P0)
+    law = Observed(of_outputs(n=n, size=2.5).controller, estimator)
+    law.to_c(tmp_path, scalar=scalar)
+    y, u = np.float32(0.02 * rng.standard_normal((20, 4, 1))).astype(float), np.zeros((20, 4, NU))
+    begins = np.zeros((20, 4, 1))
+    begins[:, 0] = 1.0
+    sent = np.concatenate([begins, y, u], axis=2).reshape(80, -1)
+    found, code = compiled(tmp_path, sent, scalar, driver=MEMORY % "sent + 1 + POLICY_NY")
+    assert not code.any()
+    np.testing.assert_allclose(found, driven(law, y, u).reshape(80, NU), rtol=0, atol=tolerance)
+    assert np.ptp(found[:, 0]) > 10 * tolerance
+
+
+@needs_compiler
 @pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-6)])
 @pytest.mark.parametrize("before", ["sent + 1 + POLICY_NY", "u"], ids=["as applied", "its own"])
 @pytest.mark.parametrize("kind", ["history", "filter", "steady filter", "plant", "sampled", "linear"])
@@ -236,7 +257,8 @@ def test_the_c_code_of_a_policy_of_outputs_is_the_controller_in_a_closed_loop(
 ):  # fmt: skip
     if kind in ("plant", "sampled", "linear"):
         law, plant = of_cubature(kind), nonlinear_plant()
-        tolerance = max(tolerance, 3e-5 * (scalar == "float"))  # its rounding adds up over 250 samples
+        if scalar == "float":  # of the plant here one rounding of what is measured moves it by 4e-6
+            tolerance = 3e-5 if kind == "plant" else 3e-6
     else:
         law, plant = of_outputs() if kind == "history" else of_estimate(steady=kind == "steady filter"), None
     first = law

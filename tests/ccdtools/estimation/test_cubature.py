@@ -232,6 +232,44 @@ def test_a_start_on_a_line_stays_symmetric_and_finite(units):
     assert (variances > -1e-13).all()
 
 
+def test_what_jumps_is_filtered_as_in_the_textbook():
+    x, u, none = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX(0, 1)
+
+    def step(x, u, sign=np.sign):
+        return [x[0] + 0.1 * x[1], x[1] + 0.1 * (u[0] - x[0] - sign(x[1]))]
+
+    def quantised(x, floor=np.floor):
+        return [floor(4 * x[0]) / 4, x[1] + (x[0] > 0.5)]
+
+    plant = cc.Plant(x, u, none, none, step(x, [u], ca.sign), cc.DesignSpace([], [], []), 0.1, continuous=False,
+                     outputs=quantised(x, ca.floor))  # fmt: skip
+    rng = np.random.default_rng(0)
+    y, inputs, cov = rng.standard_normal((STEPS, 2)), rng.standard_normal((STEPS, 1)), np.diag([1.0, 0.5])
+    W, V = np.diag([1e-3, 1e-2]), np.diag([0.02, 0.1])
+    found = CubatureKalmanFilter(plant, W=W, V=V, P0=cov, x0=[0.3, -0.2]).filter(y, inputs)
+    expected = by_hand(lambda x, u: np.array(step(x, u)), lambda x: np.array(quantised(x)), W, V,
+                       np.array([0.3, -0.2]), cov, y, inputs)  # fmt: skip
+    np.testing.assert_allclose(found.means[0], expected, rtol=0, atol=1e-9)
+
+
+def test_a_linear_output_beside_another_is_seen_however_far_away():
+    x, u, none = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX(0, 1)
+    plant = cc.Plant(x, u, none, none, x + u, cc.DesignSpace([], [], []), 0.1, continuous=False,
+                     outputs=[ca.sin(x[0]), x[1]])  # fmt: skip
+    told = CubatureKalmanFilter(plant, W=np.zeros(2), V=[1.0, 1e-6], P0=[0.1, 1e-6], x0=[0.0, 1e15])
+    found = told.filter(np.array([[0.0, 1e15]]), np.zeros((1, 1)))
+    assert found.covariances[0, 0, 1, 1] == pytest.approx(5e-7, rel=1e-9)
+
+
+@pytest.mark.parametrize(("speed", "deviation"), [(10.0, 1e-5), (300.0, 1e-5), (1e4, 1e-4), (1e6, 1.0)])
+def test_a_position_that_nothing_sees_drifts_however_far_from_zero(speed, deviation):
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    dynamics = [x[1], u - 1e-3 * x[1] * ca.fabs(x[1])]
+    plant = cc.Plant(x, u, None, None, dynamics, cc.DesignSpace([], [], []), 0.01, outputs=[x[1]])
+    told = {"W": [1e-6, 1e-4], "V": [1e-2], "P0": [deviation**2, deviation**2], "x0": [speed, speed]}
+    assert "neither grows nor decays" in repr(CubatureKalmanFilter(plant, **told))
+
+
 def rubbing():
     """Mass on a spring with dry friction, whose acceleration and position are measured."""
     x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
