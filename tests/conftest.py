@@ -47,11 +47,9 @@ def _same_draws():
 @pytest.fixture
 def brief(monkeypatch):
     """First policies are made in a few steps, for a test that does not look at how good they are."""
-    from ccdtools.co_design.imitation import policy_from_scratch
-    from learning import CloningConfig
+    from brief_policies import shorten
 
-    monkeypatch.setattr(CloningConfig.__init__, "__defaults__", (300, 256, 4e-3))
-    monkeypatch.setitem(policy_from_scratch.__kwdefaults__, "updates", 10)
+    shorten(monkeypatch)
 
 
 @pytest.fixture
