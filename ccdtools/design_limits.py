@@ -185,6 +185,13 @@ def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
     return limits.at(p) if isinstance(limits, DesignLimits) else limits
 
 
+def set_at(limits: Any, p: ArrayLike | None, argument: str, size: int) -> Polytope:
+    """Set of so many numbers at one design (np,), or at none, checked."""
+    if isinstance(limits, DesignLimits) and p is None:
+        raise InputError("design", "nothing", f"the design whose limits {argument}(p) count")
+    return as_set(limits_at(limits, p), argument, size)  # type: ignore[arg-type]
+
+
 def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
     """Bounds (n,) of fixed limits, or (..., n) at designs (..., np)."""
     return limits.bounds(p) if isinstance(limits, DesignLimits) else limits.bounding_box()

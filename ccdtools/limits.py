@@ -34,7 +34,7 @@ class Excursions(Immutable):
     exceeded : str
         The row that is exceeded most, over all runs; empty where all states lie in X.
     limits : str
-        What was left: "X", or "the limits" where those of outputs count, too.
+        What was left: "X", or "the limits" where those of inputs or outputs count, too.
     lost : (n,) bool array, optional
         Runs that diverged.
     single : bool
@@ -66,9 +66,9 @@ class Excursions(Immutable):
 
     @classmethod
     def from_trajectory(
-        cls, run: Any, X: Polytope, plant: Any, outputs: OutputLimits | None = None
+        cls, run: Any, X: Polytope, plant: Any, outputs: OutputLimits | None = None, U: Polytope | None = None
     ) -> tuple[Excursions, Excursions]:
-        """Violations of X, and of limited outputs, by a `Trajectory`.
+        """Violations of X, of U, and of limited outputs, by a `Trajectory`.
 
         Returns
         -------
@@ -79,10 +79,13 @@ class Excursions(Immutable):
         """
         n, steps, _ = run.inputs.shape
         by_row, texts = _depths(run.states[:, 1:], X, getattr(plant, "state_names", None) or ())
+        if U is not None:
+            beyond, own = _depths(run.inputs, U, getattr(plant, "input_names", None) or _inputs(U.dim))
+            by_row, texts = np.concatenate([by_row, beyond], axis=-1), (*texts, *own)
         if outputs is not None:
             by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
             texts = (*texts, *map(outputs.row_text, range(by_row.shape[-1] - len(texts))))
-        left = limits_in_words(outputs)
+        left = limits_in_words(outputs, U)
         whole = cls.from_depths(by_row[~run.diverged], texts, left)
         if n > 1 or steps < STRETCHES:
             return whole, cls.from_depths(by_row, texts, left, lost=run.diverged)
@@ -184,6 +187,11 @@ def further_outside(own: Excursions, other: Excursions) -> bool:
     return False
 
 
-def limits_in_words(outputs: OutputLimits | None) -> str:
-    """Name of the limits that count: X, or the limits with outputs."""
-    return "X" if outputs is None else "the limits"
+def limits_in_words(outputs: OutputLimits | None, U: Any = None) -> str:
+    """Name of the limits that count: X, or the limits with inputs or outputs."""
+    return "X" if outputs is None and U is None else "the limits"
+
+
+def _inputs(nu: int) -> list[str]:
+    """Names of inputs without names."""
+    return [f"u{i + 1}" for i in range(nu)]

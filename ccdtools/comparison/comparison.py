@@ -22,7 +22,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Driver, needs_of
-from ccdtools.design_limits import DesignLimits, Limits
+from ccdtools.design_limits import Limits, set_at
 from ccdtools.evidence.percent import nothing_done
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
@@ -35,7 +35,6 @@ from ccdtools.table import Table
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_mapping
-from invariant_sets.system_checks import as_set
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Score:
     diverged : float
         Fraction of runs.
     violations : float
-        Fraction of the states outside X, or of the samples outside the limits where those of outputs count, too.
+        Fraction of the states outside X, or of the samples outside the limits where those of inputs or outputs count.
     depth_mean, depth_peak, depth_worst : float
         How far outside X, in half-widths of X (`ccdtools.depth_outside`): averaged over all states, the mean over the
         runs of the peak of each, and the largest of all; of the runs that did not diverge.
@@ -105,7 +104,7 @@ class Comparison:
     """Scores of all controllers on one scenario, one row each.
 
     It is iterated like a list of scores, and indexed by number or by the name of a controller. `limits` says what
-    violations are of: "X", or "the limits" where those of outputs count, too; `baseline` is the controller that the
+    violations are of: "X", or "the limits" where others count, too; `baseline` is the controller that the
     others are paired to; `compiled`, whether times are printed, of exported C too.
     """
 
@@ -200,6 +199,7 @@ def compare(
     design: ArrayLike | None = None,
     objective: Objective,
     X: Limits | tuple[ArrayLike, ArrayLike],
+    U: Limits | tuple[ArrayLike, ArrayLike] | None = None,
     limit: ArrayLike | None = None,
     few: Mapping[str, int] | None = None,
     output_limits: OutputLimits | None = None,
@@ -221,6 +221,8 @@ def compare(
     objective : QuadraticObjective or CustomObjective
     X : Polytope, bounds (lower, upper), or the X(p) of a problem
         State limits, whose violations are counted.
+    U : the same of inputs, optional
+        Its violations count with those of X. Nothing is clipped: without U any input counts as what the plant can do.
     limit : (nx,) array_like, optional
         Divergence limit on |x|, see `simulate`; a thousand times the largest |x| within X by default.
     few : mapping of name to int, optional
@@ -254,11 +256,8 @@ def compare(
         needs_of(controller)
     as_instance("scenario", scenario, Scenario, "a Scenario", "Use Scenario(plant, x0, disturbance).")
     as_objective("objective", objective)
-    if isinstance(X, DesignLimits):
-        if design is None:
-            raise InputError("design", "nothing", "the design whose limits X(p) count")
-        X = X.at(design)
-    X = as_set(X, "X", scenario.plant.nx)
+    X = set_at(X, design, "X", scenario.plant.nx)
+    U = None if U is None else set_at(U, design, "U", scenario.plant.nu)
     limit = divergence_limit(X) if limit is None else limit
     if output_limits is not None:
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
@@ -275,7 +274,7 @@ def compare(
         at(name)
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == baseline else seen.run(controller, design=design, limit=limit)
-        whole, pieces[name] = Excursions.from_trajectory(run, X, scenario.plant, output_limits)
+        whole, pieces[name] = Excursions.from_trajectory(run, X, scenario.plant, output_limits, U)
         score = _score(name, controller, run, reference, objective, whole, scenario, compiled=compiled)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
@@ -284,7 +283,7 @@ def compare(
             score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
     found = (replace(one, further_outside_than=pieces[one.controller].further_than(pieces)) for one in scores)
-    return Comparison(tuple(found), limits_in_words(output_limits), baseline, compiled)
+    return Comparison(tuple(found), limits_in_words(output_limits, U), baseline, compiled)
 
 
 def _score(

@@ -27,7 +27,7 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.comparison.stopped_runs import Runs, joined, stopped_runs
 from ccdtools.controllers.controllers import Passive
 from ccdtools.controllers.signals import as_controller, needs_of
-from ccdtools.design_limits import DesignLimits, Limits
+from ccdtools.design_limits import Limits, set_at
 from ccdtools.exceptions import CCDError, InputError, SimulatorError
 from ccdtools.jobs import as_jobs, as_they_end
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
@@ -38,7 +38,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools_ground.content import content_of
 from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_mapping, as_vector, shown, writable_path
 from ccdtools_ground.user_functions import stopped
-from invariant_sets.system_checks import as_set
+from invariant_sets import Polytope
 
 Maker = Callable[[Array, np.random.Generator], Any]
 Drawn = Callable[[np.random.Generator], Scenario]
@@ -56,6 +56,7 @@ class Plan:
     plants: Mapping[str, Simulable | None]
     objective: Objective
     X: Any
+    U: Any
     limit: ArrayLike | None
     output_limits: OutputLimits | None
     metrics: Metrics | None
@@ -89,7 +90,9 @@ class Plan:
         """Files of tasks, named after all that was given for them."""
         makers = {name: content_of(maker) for name, maker in self.controllers.items()}
         seeds = {seed: content_of(self.conditions(seed)) for seed in dict.fromkeys(seed for *_, seed in tasks)}
-        common = content_of((self.objective, self.X, self.limit, self.output_limits, self.metrics, self.compiled))
+        common = content_of(
+            (self.objective, self.X, self.U, self.limit, self.output_limits, self.metrics, self.compiled)
+        )
         return [
             folder / f"{content_of((task, makers[task[0]], self.designs[task[1]], seeds[task[2]], common))}.npz"
             for task in tasks
@@ -147,9 +150,7 @@ class Plan:
 
     def _cell(self, names: Place, scenario: Scenario, runs: Runs, why: str) -> Cell:
         run, stopped = runs.run, runs.stopped
-        outside = Excursions.from_trajectory(
-            run, self.limits_at(scenario, run.design), scenario.plant, self.output_limits
-        )[1]  # fmt: skip
+        outside = self.outside(run, scenario)
         rewards = run.rewards(self.objective)
         single = len(rewards) == 1
         by_chance = scenario.disturbance.any() or np.any(getattr(scenario.output, "noise", None))
@@ -164,12 +165,18 @@ class Plan:
 
     def simulated(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory:
         """Runs of a scenario at a design (np,) or none."""
-        limit = divergence_limit(self.limits_at(scenario, p)) if self.limit is None else self.limit
+        limit = divergence_limit(self.states_at(scenario, p)) if self.limit is None else self.limit
         return scenario.run(controller, design=p if len(p) else None, limit=limit)
 
-    def limits_at(self, scenario: Scenario, p: Array) -> Any:
+    def states_at(self, scenario: Scenario, p: Array) -> Polytope:
         """Set X at a design."""
-        return as_set(self.X.at(p) if isinstance(self.X, DesignLimits) else self.X, "X", scenario.plant.nx)
+        return set_at(self.X, p, "X", scenario.plant.nx)
+
+    def outside(self, run: Trajectory, scenario: Scenario) -> Excursions:
+        """Violations of the limits by all runs, or by stretches of a single one."""
+        X, plant = self.states_at(scenario, run.design), scenario.plant
+        U = None if self.U is None else set_at(self.U, run.design, "U", plant.nu)
+        return Excursions.from_trajectory(run, X, plant, self.output_limits, U)[1]
 
 
 def _reason(error: Exception) -> str:
@@ -192,6 +199,7 @@ def experiment(
     *,
     objective: Objective,
     X: Limits | tuple[ArrayLike, ArrayLike],
+    U: Limits | tuple[ArrayLike, ArrayLike] | None = None,
     designs: ArrayLike | Mapping[str, ArrayLike] | None = None,
     plants: Mapping[str, Any] | None = None,
     seeds: int | Sequence[int] = 10,
@@ -220,6 +228,8 @@ def experiment(
         for all controllers.
     objective : QuadraticObjective or CustomObjective
     X : Polytope, bounds (lower, upper), or the X(p) of a problem
+    U : the same of inputs, optional
+        Its violations count with those of X. Nothing is clipped: without U any input counts as what the plant can do.
     designs : (np,) array_like, or mapping of name to (np,), optional
     plants : mapping of name to plant, optional
         Each takes the place of the scenarios' own, such as one with a heavier mass.
@@ -270,7 +280,7 @@ def experiment(
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     as_metrics(metrics)
     plan = Plan(
-        made, _as_scenarios(scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
+        made, _as_scenarios(scenarios), _as_designs(designs), _as_plants(plants), objective, X, U, limit,
         output_limits, metrics, as_flag("compiled", compiled),
     )  # fmt: skip
     numbers = as_seeds(seeds)
@@ -284,9 +294,11 @@ def experiment(
     )
     records = tuple(found)
     first, p = plan.conditions(numbers[0]), next(iter(plan.designs.values()))
-    sets = [plan.limits_at(scenario, p) for scenario in first.values()]
+    sets = {"X": [plan.states_at(scenario, p) for scenario in first.values()]}
+    if U is not None:
+        sets["U"] = [set_at(U, p, "U", scenario.plant.nu) for scenario in first.values()]
     told = conditions_in_words(first, plan.designs, objective, sets, numbers)
-    return Experiment(records, base, _fresh(plan, numbers), limits_in_words(output_limits), told)
+    return Experiment(records, base, _fresh(plan, numbers), limits_in_words(output_limits, U), told)
 
 
 def _fresh(plan: Plan, seeds: Sequence[int]) -> frozenset[str]:
@@ -423,7 +435,7 @@ def _check(plan: Plan, seed: int) -> None:
                 # one that hangs or ends its process may work under other inputs
                 works, dead = works or run is error.kept or isinstance(error.__cause__, SimulatorError), error
             run.rewards(plan.objective)
-            Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)
+            plan.outside(run, scenario)
     if dead is not None and not (works or any(_steps(plan, seed))):
         raise dead  # of a function that never worked
 

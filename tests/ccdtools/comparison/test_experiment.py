@@ -56,6 +56,25 @@ def test_one_seed_on_one_scenario_says_what_compare_says():
     assert cell.value.ci95 == pytest.approx(score.summary.ci95)
 
 
+@pytest.mark.parametrize(("U", "word"), [(None, "better"), (([-0.2], [0.2]), "better in return only")])
+def test_a_law_that_asks_for_what_actuators_have_not_is_not_better(U, word):
+    gain = 0.6
+    laws = {"LQR": LinearFeedback([[gain]], -0.2, 0.2), "gain": LinearFeedback([[gain]])}
+    result = found({name: lambda design, rng, law=law: law for name, law in laws.items()}, U=U)
+    assert result["gain"].word == word
+    assert ("any input counts" in str(result.header)) == (U is None)
+    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=([-50.0], [50.0]), U=U)
+    assert scores.limits == ("X" if U is None else "the limits")
+    assert (scores["gain"].violations > 0.1) == (U is not None)
+    assert scores["LQR"].violations == 0
+    assert scores["gain"].further_outside_than == (() if U is None else ("LQR",))
+
+
+def test_limits_of_inputs_of_another_size_are_refused():
+    with pytest.raises(InputError, match="U"):
+        found(U=([-1.0, -1.0], [1.0, 1.0]))
+
+
 def test_what_is_learned_is_learned_anew_for_each_seed_and_design():
     seen = []
     laws = {"LQR": LAWS["LQR"], "learned": lambda design, rng: seen.append(rng.random()) or LinearFeedback([[GAIN]])}

@@ -73,7 +73,7 @@ def test_a_page_says_what_was_compared(tmp_path):
     lines = result.header.lines
     assert [line[:2] for line in lines] == [
         ("plant", "nominal"), ("plant", "faster"), ("scenario", "from rest"), ("scenario", "from afar"),
-        ("objective", ""), ("X", ""), ("seeds", ""), *(("controller", name) for name in laws),
+        ("objective", ""), ("X", ""), ("U", ""), ("seeds", ""), *(("controller", name) for name in laws),
     ]  # fmt: skip
     words = {line[:2]: line[2] for line in lines}
     assert words["plant", "faster"] == repr(plants["faster"])
