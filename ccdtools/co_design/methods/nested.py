@@ -148,17 +148,18 @@ class Nested:
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
                 tangent = search(lambda v: LoopCost(problem, LQR, scenarios), starts=self.starts)
         scenario = visited(problem, rng)
+        of = f"of this design, on the {len(scenario[0])} runs of the fit"
         if tangent is not None:
             here = fitted(problem, tangent.design, scenario)
             if not here.better:
-                return replace(tangent, notes=(*tangent.notes, str(here)))
+                return replace(tangent, notes=(*tangent.notes, f"{here}, {of}"))
         begun = {} if tangent is None else {"design": np.asarray(tangent.design)}
         words = "saturated LQR of the secant over the visited states"
         law = DesignLaw(words, lambda problem, p: fitted(problem, p, scenario).controller)
         found = search(lambda v: LoopCost(problem, law, scenarios), starts=1, **begun)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
-        return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))
+        return replace(found, notes=(*found.notes, f"{fitted(problem, found.design, scenario)}, {of}"))
 
     def _cost_from(
         self, problem: CoDesignProblem, rng: np.random.Generator, progress: bool
