@@ -15,7 +15,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, scaled_rows
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.tolerances import DIVERGENCE, DIVERGENCE_LIMIT, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
-from ccdtools_ground.door import as_array, as_floats, as_instance
+from ccdtools_ground.door import as_array, as_floats, as_instance, as_names
 from invariant_sets import Polytope
 
 
@@ -80,7 +80,8 @@ class Excursions(Immutable):
         n, steps, _ = run.inputs.shape
         by_row, texts = _depths(run.states[:, 1:], X, getattr(plant, "state_names", None) or ())
         if U is not None:
-            beyond, own = _depths(run.inputs, U, getattr(plant, "input_names", None) or _inputs(U.dim))
+            names = as_names("input_names", tuple(getattr(plant, "input_names", None) or ()), U.dim, "u")
+            beyond, own = _depths(run.inputs, U, names)
             by_row, texts = np.concatenate([by_row, beyond], axis=-1), (*texts, *own)
         if outputs is not None:
             by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
@@ -190,8 +191,3 @@ def further_outside(own: Excursions, other: Excursions) -> bool:
 def limits_in_words(outputs: OutputLimits | None, U: Any = None) -> str:
     """Name of the limits that count: X, or the limits with inputs or outputs."""
     return "X" if outputs is None and U is None else "the limits"
-
-
-def _inputs(nu: int) -> list[str]:
-    """Names of inputs without names."""
-    return [f"u{i + 1}" for i in range(nu)]
