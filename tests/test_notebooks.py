@@ -93,15 +93,15 @@ def test_learning_pays_at_the_wall_alone_as_its_notebook_shows(tmp_path):
     for notebook in (kept("07"), run_again("07", tmp_path)):
         lines = "".join(printed(notebook)).replace("−", "-").splitlines()
         gains = {}
-        for name, runs in (("PPO", "5 × 100 runs"), ("nonlinear MPC", "5 × 3 runs")):
+        for name, runs, plants in (("PPO", "5 × 100 runs", 5), ("nonlinear MPC", "5 × 3 runs", 1)):
             rows = [line for line in lines if line.startswith(name) and "return" in line]
             assert all(runs in line for line in rows)
             ends = [re.findall(r"[-+]?[\d.]+", line.split("beside LQR ")[1])[:3] for line in rows]
             gains[name] = np.array(ends, dtype=float)  # [%]: mean, and ends of its interval
-            assert gains[name].shape == (6, 3)
+            assert gains[name].shape == (1 + plants, 3)
             assert abs(gains[name][0, 0]) < 3  # on the suspension
         assert (gains["PPO"][1:, 1] > 0).all()
-        assert (gains["nonlinear MPC"][1:, 0] < gains["PPO"][1:, 0]).all()
+        assert gains["nonlinear MPC"][1, 0] < gains["PPO"][1, 0]  # both on the plant as modelled
 
 
 @pytest.mark.check
