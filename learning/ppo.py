@@ -284,17 +284,17 @@ class PPO:
     def set_rates(self, share: float) -> None:
         """Step at this share of the configured rates."""
         for part, rate in ((self._actor, self.config.learning_rate), (self._critic, self.config.value_rate)):
-            part.adam.param_groups[0]["lr"] = rate * share
+            part.rate = rate * share
 
     def state(self) -> dict[str, Any]:
         """Optimisers and counts, for `restore`."""
-        optimisers = self._actor.adam.state_dict(), self._critic.adam.state_dict()
+        optimisers = self._actor.state, self._critic.state
         return {"optimisers": copy.deepcopy(optimisers), "rescaled": self._rescaled}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
         for part, optimiser in zip((self._actor, self._critic), state["optimisers"]):
-            part.adam.load_state_dict(optimiser)
+            part.state = copy.deepcopy(optimiser)
         self._rescaled = state["rescaled"]
 
     def update(self, rollout: Rollout, *, generator: torch.Generator, actor: bool = True) -> UpdateStatistics:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
+from torch.optim.adam import adam
 
 
 class VectorAdam:
@@ -14,8 +15,10 @@ class VectorAdam:
 
     def __init__(self, parameters: list[nn.Parameter], rate: float) -> None:
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
+        self.rate = rate
         self.vector = _joined(self.parameters).detach()
-        self.adam = torch.optim.Adam([self.vector], lr=rate, fused=True)
+        self.state = {name: torch.zeros_like(self.vector) for name in ("mean", "square")}
+        self.state["steps"] = torch.zeros((), device=self.vector.device)
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -30,9 +33,15 @@ class VectorAdam:
 
     def step(self, gradients: Sequence[Tensor], limit: float) -> float:
         """Norm of the gradient, after a step by what is left of it within a limit."""
-        self.vector.grad = _joined(gradients)
-        norm = nn.utils.clip_grad_norm_(self.vector, limit)
-        self.adam.step()
+        gradient = _joined(gradients)
+        norm = gradient.norm()
+        gradient *= (limit / (norm + 1e-6)).clamp(max=1.0)
+        # the function behind torch.optim.Adam, which loads a compiler when it is made
+        mean, square, steps = self.state.values()
+        adam(
+            [self.vector], [gradient], [mean], [square], [], [steps], fused=True,
+            amsgrad=False, beta1=0.9, beta2=0.999, lr=self.rate, weight_decay=0.0, eps=1e-8, maximize=False,
+        )  # fmt: skip
         return float(norm)
 
 
