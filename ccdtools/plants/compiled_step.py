@@ -35,6 +35,11 @@ def can_be_compiled(function: ca.Function) -> bool:
     return all(op in moved or op in texts_of_operations() for op, *_ in Vectorised(function).instructions)
 
 
+def explicit_kind(function: ca.Function, compiled: bool) -> type[ExplicitStep]:
+    """Kind of the explicit steps of a function."""
+    return CompiledStep if compiled and can_be_compiled(function) else ExplicitStep
+
+
 class CompiledStep(ExplicitStep):
     """Explicit step whose loops over runs and parts are compiled by Numba.
 

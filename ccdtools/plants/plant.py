@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, frozen
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.compiled_step import explicit_kind
 from ccdtools.plants.design_space import DesignSpace, check_finite
 from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
@@ -45,6 +46,8 @@ class Plant(Symbolic):
         Whether `dynamics` is a derivative.
     substeps : int
         Runge–Kutta steps per sample, for simulating a continuous plant.
+    compiled : bool
+        Whether simulations of many runs are compiled by Numba: some seconds once, then many times as fast.
     state_names, input_names : sequence of str, optional
         Labels with units, for figures.
     outputs : casadi.SX (ny, 1), or a list of ny expressions, optional
@@ -86,6 +89,7 @@ class Plant(Symbolic):
     outputs: Any = ()
     output_names: Sequence[str] = ()
     output_limits: Any = None
+    compiled: bool = False
     z: InitVar[Any] = None
     algebraic: InitVar[Any] = ()
     z_guess: InitVar[Any] = 0.0
@@ -109,7 +113,7 @@ class Plant(Symbolic):
             raise InputError("p", f"{self.p.numel()} symbols", f"{self.design.dim} ({names}), one per design parameter")
         self._set(dt=as_positive("dt", self.dt, unit="s"))
         self._set(continuous=as_flag("continuous", self.continuous))
-        self._set(substeps=as_count("substeps", self.substeps))
+        self._set(substeps=as_count("substeps", self.substeps), compiled=as_flag("compiled", self.compiled))
         self._check_outputs()
         named = (("state_names", "x", self.nx), ("input_names", "u", self.nu), ("output_names", "y", self.ny))
         self._set(**{name: as_names(name, getattr(self, name), n, letter) for name, letter, n in named})
@@ -229,9 +233,9 @@ class Plant(Symbolic):
     @cached_property
     def explicit_step(self) -> ExplicitStep:
         """`step` on arrays of any number of runs."""
-        if not self.continuous:
-            return ExplicitStep(self.right_hand_side, 1)
-        return ExplicitStep.of(self.right_hand_side, self.dt, self.substeps)
+        f = self.right_hand_side
+        kind = explicit_kind(f, self.compiled)
+        return kind.of(f, self.dt, self.substeps) if self.continuous else kind(f, 1)
 
 
 def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

@@ -15,7 +15,7 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import InputError
 from ccdtools.plants.budgets import PART_BY_COLLOCATION
 from ccdtools.plants.collocation import ImplicitStep
-from ccdtools.plants.compiled_step import CompiledStep, can_be_compiled
+from ccdtools.plants.compiled_step import explicit_kind
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
 from ccdtools.plants.linear_model import DiscreteModel
@@ -149,7 +149,7 @@ class SampledModel(Immutable, DiscreteModel):
     def _own_step(self) -> ExplicitStep | ImplicitStep:
         """The step without errors."""
         f = self.plant.right_hand_side
-        kind = CompiledStep if self.compiled and can_be_compiled(f) else ExplicitStep
+        kind = explicit_kind(f, self.compiled)
         if not self.plant.continuous:
             return kind(f, 1)
         if self.method == "rk4":

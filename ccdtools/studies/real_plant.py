@@ -13,6 +13,7 @@ from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Simulable, as_simulable
+from ccdtools.plants.plant import Plant
 from ccdtools.studies.tolerances import MINIMUM_LOG
 from ccdtools_ground.door import as_count, as_flag, as_instance, as_mapping, as_vector, has_method, shown
 
@@ -62,6 +63,8 @@ class RealPlant(Immutable):
 
     def __post_init__(self) -> None:
         self._set(plant=as_simulable(self.plant, "real.plant"))
+        if isinstance(self.plant, Plant) and not (self.plant.linear or self.plant.compiled):
+            self._set(plant=replace(self.plant, compiled=True))
         self._set(x0=as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
         self._set(runs=as_count("real.runs", self.runs))
         self._set(steps=as_count("real.steps", self.steps))

@@ -1,5 +1,7 @@
 """Steps of few runs by CasADi's machine and of many by arrays in place: both are the step that CasADi computes."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -44,6 +46,18 @@ def test_leading_shapes_broadcast_and_single_precision_stays_single(rng):
     assert single.shape == (3,)
     np.testing.assert_allclose(after[2, 5], single, rtol=1e-6, atol=1e-7)
     assert model.advance(x[:0, 0], u[:0], np.zeros(1), np.array([1.0, 2.0])).shape == (0, 3)
+
+
+@pytest.mark.parametrize("n", [3, 100])
+@pytest.mark.parametrize("continuous", [True, False])
+def test_a_compiled_plant_steps_as_the_same_plant_that_is_not(continuous, n, rng):
+    plant = replace(winding(), continuous=continuous)
+    x, u, w = drawn(plant, n, rng)
+    p = np.array([1.0, 2.0])
+    compiled = replace(plant, compiled=True).stepper(p, batch=n)(x, u, w)
+    np.testing.assert_allclose(compiled, plant.stepper(p, batch=n)(x, u, w), rtol=1e-12, atol=1e-12)
+    with pytest.raises(InputError, match=r"^compiled: got 'yes'"):
+        replace(plant, compiled="yes")
 
 
 @pytest.mark.parametrize("n", [3, 2500])
