@@ -14,8 +14,8 @@ from ccdtools.budgets import STRETCHES
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, scaled_rows
 from ccdtools.statistics import mean_interval, paired_difference
-from ccdtools.tolerances import DIVERGENCE, DIVERGENCE_LIMIT, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
-from ccdtools_ground.door import as_array, as_floats, as_instance, as_names
+from ccdtools.tolerances import DIVERGENCE, DIVERGENCE_LIMIT, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART, SAME_BOUNDS
+from ccdtools_ground.door import as_array, as_floats, as_instance
 from invariant_sets import Polytope
 
 
@@ -80,8 +80,8 @@ class Excursions(Immutable):
         n, steps, _ = run.inputs.shape
         by_row, texts = _depths(run.states[:, 1:], X, getattr(plant, "state_names", None) or ())
         if U is not None:
-            names = as_names("input_names", tuple(getattr(plant, "input_names", None) or ()), U.dim, "u")
-            beyond, own = _depths(run.inputs, U, names)
+            beyond, own = _depths(run.inputs, U, getattr(plant, "input_names", None) or (), "U")
+            beyond = np.where(beyond > SAME_BOUNDS, beyond, 0.0)  # networks saturate in single precision
             by_row, texts = np.concatenate([by_row, beyond], axis=-1), (*texts, *own)
         if outputs is not None:
             by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
@@ -157,9 +157,9 @@ def excursions(states: ArrayLike, X: Polytope, *, names: Sequence[str] | None = 
     return Excursions.from_depths(*_depths(runs, X, () if names is None else names))
 
 
-def _depths(x: Array, X: Polytope, names: Sequence[str] = ()) -> tuple[Array, tuple[str, ...]]:
+def _depths(x: Array, X: Polytope, names: Sequence[str] = (), argument: str = "X") -> tuple[Array, tuple[str, ...]]:
     """Violation of each row of X by states (..., nx), as (..., m), negative within, and the texts of the rows."""
-    rows, bounds, texts = scaled_rows(X, names)
+    rows, bounds, texts = scaled_rows(X, names, argument)
     with np.errstate(over="ignore", invalid="ignore"):
         beyond = x @ rows.T - bounds
     beyond = np.where(np.isnan(beyond), np.inf, beyond)

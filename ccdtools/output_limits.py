@@ -187,7 +187,7 @@ def _limits_of_design(given: DesignLimits, names: Sequence[str]) -> OutputLimits
     return OutputLimits(beyond, texts=(*above, *below))
 
 
-def scaled_rows(X: Polytope, names: Sequence[str] = ()) -> tuple[Array, Array, tuple[str, ...]]:
+def scaled_rows(X: Polytope, names: Sequence[str] = (), argument: str = "X") -> tuple[Array, Array, tuple[str, ...]]:
     """Rows (m, nx) and bounds (m,) of X in its half-widths, rows·x ≤ bounds, and texts of exceeding them.
 
     Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
@@ -198,29 +198,30 @@ def scaled_rows(X: Polytope, names: Sequence[str] = ()) -> tuple[Array, Array, t
     InputError
         If X is no Polytope, or empty.
     """
-    as_instance("X", X, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
+    as_instance(argument, X, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
     if X.is_empty:
-        raise InputError("X", "an empty set", "one with at least one point")
+        raise InputError(argument, "an empty set", "one with at least one point")
     minimal = X.minimal()
     rows = np.vstack([minimal.A, minimal.A_eq, -minimal.A_eq])
     bounds = np.concatenate([minimal.b, minimal.b_eq, -minimal.b_eq])
     widths = _half_widths(minimal, rows, bounds)
     rows, bounds = rows / widths[:, None], bounds / widths
-    names = as_names("names", tuple(names), X.dim, "x")
-    return rows, bounds, tuple(_row_text(i, row, bounds[i], names) for i, row in enumerate(rows))
+    names = as_names("names", tuple(names), X.dim, argument.lower())
+    numbers = (f"row {i + 1} of {argument}" for i in range(len(rows)))
+    return rows, bounds, tuple(_row_text(*row, names) for row in zip(numbers, rows, bounds))
 
 
-def _row_text(number: int, row: Array, bound: float, names: Sequence[str]) -> str:
+def _row_text(own: str, row: Array, bound: float, names: Sequence[str]) -> str:
     """Text of exceeding a row, such as "velocity [m/s] > 0.5"."""
     terms = np.flatnonzero(np.abs(row) > FLAT_ROW * np.abs(row).max())
     if len(terms) > 3:  # a longer row is named by its number
-        return f"row {number + 1} of X"
+        return own
     first = row[terms[0]]
     text = names[terms[0]]
     for factor, name in ((row[i] / first, names[i]) for i in terms[1:]):
         size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
         text += f" {'+' if factor > 0 else '−'} {size}{name}"
-    return f"{text} {'>' if first > 0 else '<'} {bound / first:.4g}"
+    return f"{text} {'>' if first > 0 else '<'} {bound / first + 0.0:.4g}"
 
 
 def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:

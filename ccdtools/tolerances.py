@@ -1,6 +1,8 @@
 """Tolerances of this folder's modules, relative [-] without a unit."""
 
 ON_LIMIT = 1e-9  # A point that is outside a limit by this part of the half-width is on it.
+# Bounds of actions, and inputs at a bound, may miss it by this part of the range or half-width of U: float32 rounds.
+SAME_BOUNDS = 1e-5
 FLAT_ROW = 1e-9  # A width of X along a row, or a term of a row, is none below this part of the largest over the box.
 FURTHER_OUTSIDE = 0.01  # Smaller differences of the peak, in half-widths, or of the part of states outside are ignored.
 FURTHER_OUTSIDE_PART = 0.05  # Differences below this part of the other controller's violation are ignored.

@@ -294,7 +294,8 @@ class PPO:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
         for part, optimiser in zip((self._actor, self._critic), state["optimisers"]):
-            part.state = copy.deepcopy(optimiser)
+            for name, value in part.state.items():
+                value.copy_(optimiser[name])
         self._rescaled = state["rescaled"]
 
     def update(self, rollout: Rollout, *, generator: torch.Generator, actor: bool = True) -> UpdateStatistics:

@@ -18,7 +18,7 @@ class VectorAdam:
         self.rate = rate
         self.vector = _joined(self.parameters).detach()
         self.state = {name: torch.zeros_like(self.vector) for name in ("mean", "square")}
-        self.state["steps"] = torch.zeros((), device=self.vector.device)
+        self.state["steps"] = torch.zeros((), dtype=torch.float32, device=self.vector.device)
 
     @contextmanager
     def held(self) -> Iterator[None]:

@@ -20,7 +20,6 @@ SMALL_SENSITIVITY = 0.01  # They may also differ by this part of the unit box pe
 
 # --- what is one, on an edge or feasible ------------------------------------------------------------------------------
 SAME_PLACE = 0.02  # Designs or starts within this distance in every coordinate of the unit box are one.
-SAME_BOUNDS = 1e-5  # Action bounds are those of U if they differ by less than this part of their range: float32 rounds.
 ACTIVE = 1e-3  # A constraint whose edge is closer than this in the unit box is active.
 AT_BOUND = 1e-9  # A point closer to a bound than this in the unit box is on it.
 PULL = 10.0  # A point loses at least ½ · 10 · distance² of the return for its distance from the feasible designs.

@@ -56,12 +56,12 @@ class Score:
     violations : float
         Fraction of the states outside X, or of the samples outside the limits where those of inputs or outputs count.
     depth_mean, depth_peak, depth_worst : float
-        How far outside X, in half-widths of X (`ccdtools.depth_outside`): averaged over all states, the mean over the
-        runs of the peak of each, and the largest of all; of the runs that did not diverge.
+        How far outside, in half-widths (`ccdtools.depth_outside`): averaged over all samples, the mean over the runs of
+        the peak of each, and the largest of all; of the runs that did not diverge.
     exceeded : str
-        The row of X that is exceeded most; empty if none is.
+        The limit that is exceeded most; empty if none is.
     further_outside_than : tuple of str
-        The controllers that leave X less deep, or less often, on the runs that both saw; see `further_outside`.
+        Controllers that leave the limits less deep, or less often, on the runs that both saw; see `further_outside`.
     step_time : float
         Median time of one call with one state [s], over the first states of the first run.
     c_step_time, c_step_time_99 : float

@@ -164,6 +164,14 @@ def test_the_optimisers_live_as_long_as_the_training():
         assert optimiser["steps"].item() == 3
 
 
+def test_optimisers_are_restored_to_where_the_networks_are():
+    state = PPO(agent(), PPOConfig.warm()).state()  # a checkpoint is read to the CPU
+    elsewhere = PPO(agent().to("meta"), PPOConfig.warm())
+    elsewhere.restore(state)
+    for optimiser in elsewhere.state()["optimisers"]:
+        assert {value.device.type for value in optimiser.values()} == {"meta"}
+
+
 def test_gradients_are_clipped_before_adam():
     net = agent()
     ppo = PPO(net, PPOConfig.warm(max_gradient=1e-6, passes=1))

@@ -336,8 +336,11 @@ def test_a_training_that_cannot_be_resumed_says_why(tmp_path):
     short(agent(), checkpoint=file)
     with pytest.raises(CheckpointError, match="a training with PPOConfig"):
         short(agent(), checkpoint=file, config=PPOConfig(clip=0.1))
-    with pytest.raises(CheckpointError, match="a checkpoint of a training of this agent"):
-        short(agent((5,)), checkpoint=file)
+    frozen = agent()
+    frozen.log_std.requires_grad_(False)
+    for other in (agent((5,)), frozen):
+        with pytest.raises(CheckpointError, match="a checkpoint of a training of this agent"):
+            short(other, checkpoint=file)
     stronger = agent()
     stronger.action_scale *= 2
     with pytest.raises(CheckpointError, match="an agent with actions"):
