@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,33 +67,39 @@ class Excursions(Immutable):
     @classmethod
     def from_trajectory(
         cls, run: Any, X: Polytope, plant: Any, outputs: OutputLimits | None = None, U: Polytope | None = None
-    ) -> tuple[Excursions, Excursions]:
+    ) -> tuple[Excursions, tuple[Excursions, ...]]:
         """Violations of X, of U, and of limited outputs, by a `Trajectory`.
 
         Returns
         -------
         whole : Excursions
             Of the runs that did not diverge.
-        pieces : Excursions
-            Of all runs, or of the stretches of a single run: what is paired with another controller's.
+        pieces : tuple of Excursions
+            Of all runs, or of the stretches of a single run: what is paired with another controller's. The first is of
+            all limits; where these are of several kinds, one of each follows, as frequent violations of one kind hide
+            those of another.
         """
         n, steps, _ = run.inputs.shape
-        by_row, texts = _depths(run.states[:, 1:], X, getattr(plant, "state_names", None) or ())
+        kinds = [_depths(run.states[:, 1:], X, getattr(plant, "state_names", None) or ())]
         if U is not None:
             beyond, own = _depths(run.inputs, U, getattr(plant, "input_names", None) or (), "U")
-            beyond = np.where(beyond > SAME_BOUNDS, beyond, 0.0)  # networks saturate in single precision
-            by_row, texts = np.concatenate([by_row, beyond], axis=-1), (*texts, *own)
+            kinds.append((np.where(beyond > SAME_BOUNDS, beyond, 0.0), own))  # networks saturate in single precision
         if outputs is not None:
-            by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
-            texts = (*texts, *map(outputs.row_text, range(by_row.shape[-1] - len(texts))))
+            depths = outputs.depths(run.states[:, :-1], run.inputs, run.design)
+            kinds.append((depths, tuple(map(outputs.row_text, range(depths.shape[-1])))))
         left = limits_in_words(outputs, U)
-        whole = cls.from_depths(by_row[~run.diverged], texts, left)
-        if n > 1 or steps < STRETCHES:
-            return whole, cls.from_depths(by_row, texts, left, lost=run.diverged)
-        length = min(100, steps // STRETCHES)  # samples of a stretch
-        pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
-        lost = np.repeat(run.diverged, len(pieces))
-        return whole, cls.from_depths(pieces, texts, left, lost=lost, single=True)
+        together = np.concatenate([by_row for by_row, _ in kinds], axis=-1), [text for _, own in kinds for text in own]
+        whole = cls.from_depths(together[0][~run.diverged], together[1], left)
+
+        def pieces(by_row: Array, texts: Sequence[str]) -> Excursions:
+            """Of all runs, or of the stretches of a single one."""
+            if n > 1 or steps < STRETCHES:
+                return cls.from_depths(by_row, texts, left, lost=run.diverged)
+            length = min(100, steps // STRETCHES)  # samples of a stretch
+            cut = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
+            return cls.from_depths(cut, texts, left, lost=np.repeat(run.diverged, len(cut)), single=True)
+
+        return whole, tuple(pieces(*kind) for kind in (together, *kinds * (len(kinds) > 1)))
 
     def __repr__(self) -> str:
         if not len(self.peak):
@@ -103,10 +109,6 @@ class Excursions(Immutable):
             f"Excursions({len(self.peak)} runs, {self.fraction.mean():.2%} of the states outside {self.limits}, depth "
             f"{self.mean.mean():.3g} in the mean, peak {self.peak.mean():.3g}, largest {self.peak.max():.3g}{worst})"
         )
-
-    def further_than(self, others: Mapping[str, Excursions]) -> tuple[str, ...]:
-        """Names of the controllers that leave X less, on runs that neither lost."""
-        return tuple(name for name, other in others.items() if further_outside(self, other))
 
 
 def divergence_limit(X: Polytope) -> Array:

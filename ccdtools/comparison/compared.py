@@ -201,33 +201,35 @@ def _no_number(names: Names, seed: int, cell: Cell) -> str:
 
 
 def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
-    """Limits that are left further, or more often, than by the baseline."""
-    if not pairs:
-        return None
-    own, base = (_excursions(cells) for cells in zip(*pairs))
-    if not further_outside(own, base):
-        return None
-    achieved, before = ((float(one.fraction.mean()), float(one.peak.mean())) for one in (own, base))
-    return Violation(achieved, before, before, next(cell.exceeded for cell, _ in pairs if cell.exceeded), False)
+    """Limits that are left further, or more often, than by the baseline: of one kind, if it is one."""
+    for kind in reversed(range(len(pairs[0][0].peaks) if pairs else 0)):
+        own, base = (_excursions(cells, kind) for cells in zip(*pairs))
+        if further_outside(own, base):
+            achieved, before = ((float(one.fraction.mean()), float(one.peak.mean())) for one in (own, base))
+            most = next(cell.exceeded[kind] for cell, _ in pairs if cell.exceeded[kind])
+            return Violation(achieved, before, before, most, False)
+    return None
 
 
-def _excursions(cells: Sequence[Cell]) -> Excursions:
-    """Violations by seed, or by the runs of the only one."""
+def _excursions(cells: Sequence[Cell], kind: int) -> Excursions:
+    """Violations of a kind of limits by seed, or by the runs of the only one."""
     if len(cells) == 1:
         (cell,) = cells
-        lost = np.broadcast_to(cell.lost, cell.peak.shape) if cell.single else cell.lost
-        return Excursions(cell.fraction, cell.fraction, cell.peak, cell.exceeded, lost=lost, single=cell.single)
-    fraction, peak = np.array([_left(cell) for cell in cells]).T
+        fraction, peak = cell.fractions[kind], cell.peaks[kind]
+        lost = np.broadcast_to(cell.lost, peak.shape) if cell.single else cell.lost
+        return Excursions(fraction, fraction, peak, cell.exceeded[kind], lost=lost, single=cell.single)
+    fraction, peak = np.array([_left(cell, kind) for cell in cells]).T
     return Excursions(np.nan_to_num(fraction), np.nan_to_num(fraction), np.nan_to_num(peak), lost=np.isnan(peak))
 
 
-def _left(cell: Cell) -> tuple[float, float]:
+def _left(cell: Cell, kind: int = 0) -> tuple[float, float]:
     """Fraction of states outside and mean peak, without lost runs."""
     if cell.lost.all():
         return float("nan"), float("nan")
+    fraction, peak = cell.fractions[kind], cell.peaks[kind]
     if cell.single:
-        return float(cell.fraction.mean()), float(cell.peak.max())
-    return float(cell.fraction[~cell.lost].mean()), float(cell.peak[~cell.lost].mean())
+        return float(fraction.mean()), float(peak.max())
+    return float(fraction[~cell.lost].mean()), float(peak[~cell.lost].mean())
 
 
 def _won(own: Cell, base: Cell) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from ccdtools.controllers.signals import Driver, needs_of
 from ccdtools.design_limits import Limits, set_at
 from ccdtools.evidence.percent import nothing_done
 from ccdtools.exceptions import InputError
-from ccdtools.limits import Excursions, divergence_limit, limits_in_words
+from ccdtools.limits import Excursions, divergence_limit, further_outside, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.pages import paragraphs
 from ccdtools.progress import at
@@ -282,7 +282,12 @@ def compare(
             shown |= {f"return, {measure(risk)}": measured.mean}
             score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
-    found = (replace(one, further_outside_than=pieces[one.controller].further_than(pieces)) for one in scores)
+
+    def further(own: Sequence[Excursions]) -> tuple[str, ...]:
+        """Controllers that leave limits less than this one, of some kind."""
+        return tuple(name for name, other in pieces.items() if any(map(further_outside, own, other)))
+
+    found = (replace(one, further_outside_than=further(pieces[one.controller])) for one in scores)
     return Comparison(tuple(found), limits_in_words(output_limits, U), baseline, compiled)
 
 

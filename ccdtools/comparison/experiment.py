@@ -156,7 +156,8 @@ class Plan:
         by_chance = scenario.disturbance.any() or np.any(getattr(scenario.output, "noise", None))
         return Cell(
             *names, returns=np.where(stopped, np.nan, rewards.sum(axis=1)), lost=run.diverged,
-            fraction=outside.fraction, peak=outside.peak, exceeded=outside.exceeded, single=single, times=runs.times,
+            fractions=np.array([one.fraction for one in outside]), peaks=np.array([one.peak for one in outside]),
+            exceeded=[one.exceeded for one in outside], single=single, times=runs.times,
             series=rewards[0] if single and by_chance and not stopped.any() else np.zeros(0),
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
             metrics={} if self.metrics is None or stopped.all() else metrics_of(self.metrics, run),
@@ -172,8 +173,8 @@ class Plan:
         """Set X at a design."""
         return set_at(self.X, p, "X", scenario.plant.nx)
 
-    def outside(self, run: Trajectory, scenario: Scenario) -> Excursions:
-        """Violations of the limits by all runs, or by stretches of a single one."""
+    def outside(self, run: Trajectory, scenario: Scenario) -> tuple[Excursions, ...]:
+        """Violations of all limits, and of each kind, by all runs or by stretches of a single one."""
         X, plant = self.states_at(scenario, run.design), scenario.plant
         U = None if self.U is None else set_at(self.U, run.design, "U", plant.nu)
         return Excursions.from_trajectory(run, X, plant, self.output_limits, U)[1]

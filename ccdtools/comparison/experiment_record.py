@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
@@ -14,7 +14,7 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable, Indices, Mask
 from ccdtools.exceptions import InputError
 
-ARRAYS = ("returns", "lost", "fraction", "peak", "times", "series")
+ARRAYS = ("returns", "lost", "fractions", "peaks", "times", "series")
 WORDS = ("scenario", "plant", "exceeded", "single", "design_cost", "metrics", "stopped", "idle")
 
 
@@ -26,9 +26,11 @@ class Cell(Immutable):
     plant: str
     returns: Array  # (N,): of the runs; NaN of one that stopped
     lost: Mask  # (N,): diverged, or stopped
-    fraction: Array  # (n,): part of the states outside the limits, of the runs or of the stretches of a single one
-    peak: Array  # (n,): largest depth in half-widths
-    exceeded: str  # the limit that is exceeded most
+    # Part of the states outside and largest depth in half-widths, of the runs or of the stretches of a single one,
+    # (k, n): of all limits, then of each of several kinds; and the limit that is exceeded most.
+    fractions: Array
+    peaks: Array
+    exceeded: Sequence[str]
     single: bool  # whether there is one run
     times: Array  # (k,): of single calls of the controller [s]
     series: Array  # (T,): rewards of a single run with a disturbance; empty otherwise

@@ -102,8 +102,8 @@ class Experiment:
             {
                 **dict(zip(AXES, (one.controller, one.design, cell.scenario, cell.plant))), "seed": one.seed,
                 "run": run, "return": float(cell.returns[run]), "lost": bool(cell.lost[run]),
-                "outside": float(cell.fraction.mean() if cell.single else cell.fraction[run]),
-                "depth": float(cell.peak.max() if cell.single else cell.peak[run]),
+                "outside": float(cell.fractions[0].mean() if cell.single else cell.fractions[0, run]),
+                "depth": float(cell.peaks[0].max() if cell.single else cell.peaks[0, run]),
             }
             for one in self.records for cell in one.cells for run in range(len(cell.returns))
         ]  # fmt: skip

@@ -49,7 +49,7 @@ def violation(
     asked = problem.limit_tolerance
     if asked == "off":
         return None
-    (whole, own), (_, other) = (
+    (whole, (own, *_)), (_, (other, *_)) = (
         Excursions.from_trajectory(run, problem.state_limits(run.design), plant, problem.output_limits)
         for run in (after, before)
     )
@@ -80,7 +80,7 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> Pair
     if run.diverged.all():
         return least
     X = problem.state_limits(design)
-    done = _pair(Excursions.from_trajectory(run, X, None, problem.output_limits)[1])
+    done = _pair(Excursions.from_trajectory(run, X, None, problem.output_limits)[1][0])
     return Pair(*(max(LEAST_TOLERANCE, BESIDE_MPC * value) for value in done.values()))
 
 

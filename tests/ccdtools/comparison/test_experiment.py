@@ -1,11 +1,10 @@
 """Controllers × designs × scenarios × plants × seeds: rows, pairs and verdicts."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from scalar_experiment import GAIN, LAWS, OBJECTIVE, PLANT, A, by_hand, drawn, found
+from scalar_experiment import GAIN, LAWS, OBJECTIVE, PLANT, by_hand, drawn, found
 from scipy.stats import binomtest
 
 from ccdtools import (
@@ -21,7 +20,6 @@ from ccdtools import (
 )
 from ccdtools.controllers import Passive
 from ccdtools.plants.library import Servo, dc_servo
-from invariant_sets import Polytope
 
 
 def test_a_row_for_each_run_of_each_seed():
@@ -56,48 +54,6 @@ def test_one_seed_on_one_scenario_says_what_compare_says():
     score = compare(laws, scenario, objective=OBJECTIVE, X=([-50.0], [50.0]))["weak"]
     assert cell.evidence.gain.ci95 == pytest.approx(score.paired_to_lqr.ci95)
     assert cell.value.ci95 == pytest.approx(score.summary.ci95)
-
-
-@pytest.mark.parametrize(("U", "word"), [(None, "better"), (([-0.2], [0.2]), "better in return only")])
-def test_a_law_that_asks_for_what_actuators_have_not_is_not_better(U, word):
-    gain = 0.6
-    laws = {"LQR": LinearFeedback([[gain]], -0.2, 0.2), "gain": LinearFeedback([[gain]])}
-    result = found({name: lambda design, rng, law=law: law for name, law in laws.items()}, U=U)
-    assert result["gain"].word == word
-    assert ("any input counts" in str(result.header)) == (U is None)
-    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=([-50.0], [50.0]), U=U)
-    assert scores.limits == ("X" if U is None else "the limits")
-    assert (scores["gain"].violations > 0.1) == (U is not None)
-    assert scores["LQR"].violations == 0
-    assert scores["gain"].further_outside_than == (() if U is None else ("LQR",))
-
-
-@pytest.mark.parametrize("U", [([-0.2], [0.2]), (-np.inf, [0.2])])
-@pytest.mark.parametrize(("beyond", "counts"), [(2e-6, False), (5e-5, True)])
-def test_inputs_at_their_limits_in_single_precision_are_within(U, beyond, counts):
-    at = 0.2 * (1 + beyond)
-    laws = {"LQR": LinearFeedback([[0.6]], -0.2, 0.2), "rounded": LinearFeedback([[0.6]], -at, at)}
-    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=([-50.0], [50.0]), U=U)
-    assert (scores["rounded"].violations > 0.1) == counts
-    assert scores["rounded"].further_outside_than == (("LQR",) if counts else ())
-
-
-def test_rows_of_U_are_named_after_it():
-    four = plant_from_matrices([[A]], [[1.0] * 4], [[1.0]], dt=1.0, continuous=False)
-    scenario = replace(drawn(np.random.default_rng(5)), plant=four)
-    options = {"objective": QuadraticObjective(Q=[[1.0]], R=np.eye(4)), "X": ([-50.0], [50.0])}
-    laws = {"LQR": LinearFeedback(np.full((4, 1), 0.2))}
-    sides = np.vstack([np.eye(4), -np.eye(4), np.ones((1, 4))])
-    for most, exceeded in (([9.0] * 8 + [0.1], "row 9 of U"), ([9.0] * 4 + [0.0] + [9.0] * 4, "u1 < 0")):
-        scores = compare(laws, scenario, U=Polytope(sides, np.array(most)), **options)
-        assert scores["LQR"].exceeded == exceeded
-    with pytest.raises(InputError, match=r"^U: got an empty set"):
-        compare(laws, scenario, U=Polytope.empty(4), **options)
-
-
-def test_limits_of_inputs_of_another_size_are_refused():
-    with pytest.raises(InputError, match="U"):
-        found(U=([-1.0, -1.0], [1.0, 1.0]))
 
 
 def test_what_is_learned_is_learned_anew_for_each_seed_and_design():

@@ -1,0 +1,67 @@
+"""Limits that are left: of states, inputs and outputs, each beside the baseline's own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scalar_experiment import OBJECTIVE, A, drawn, found
+
+from ccdtools import InputError, LinearFeedback, OutputLimits, QuadraticObjective, compare, plant_from_matrices
+from invariant_sets import Polytope
+
+
+@pytest.mark.parametrize(("U", "word"), [(None, "better"), (([-0.2], [0.2]), "better in return only")])
+def test_a_law_that_asks_for_what_actuators_have_not_is_not_better(U, word):
+    gain = 0.6
+    laws = {"LQR": LinearFeedback([[gain]], -0.2, 0.2), "gain": LinearFeedback([[gain]])}
+    result = found({name: lambda design, rng, law=law: law for name, law in laws.items()}, U=U)
+    assert result["gain"].word == word
+    assert ("any input counts" in str(result.header)) == (U is None)
+    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=([-50.0], [50.0]), U=U)
+    assert scores.limits == ("X" if U is None else "the limits")
+    assert (scores["gain"].violations > 0.1) == (U is not None)
+    assert scores["LQR"].violations == 0
+    assert scores["gain"].further_outside_than == (() if U is None else ("LQR",))
+
+
+@pytest.mark.parametrize("U", [([-0.2], [0.2]), (-np.inf, [0.2])])
+@pytest.mark.parametrize(("beyond", "counts"), [(2e-6, False), (5e-5, True)])
+def test_inputs_at_their_limits_in_single_precision_are_within(U, beyond, counts):
+    at = 0.2 * (1 + beyond)
+    laws = {"LQR": LinearFeedback([[0.6]], -0.2, 0.2), "rounded": LinearFeedback([[0.6]], -at, at)}
+    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=([-50.0], [50.0]), U=U)
+    assert (scores["rounded"].violations > 0.1) == counts
+    assert scores["rounded"].further_outside_than == (("LQR",) if counts else ())
+
+
+def test_rows_of_U_are_named_after_it():
+    four = plant_from_matrices([[A]], [[1.0] * 4], [[1.0]], dt=1.0, continuous=False)
+    scenario = replace(drawn(np.random.default_rng(5)), plant=four)
+    options = {"objective": QuadraticObjective(Q=[[1.0]], R=np.eye(4)), "X": ([-50.0], [50.0])}
+    laws = {"LQR": LinearFeedback(np.full((4, 1), 0.2))}
+    sides = np.vstack([np.eye(4), -np.eye(4), np.ones((1, 4))])
+    for most, exceeded in (([9.0] * 8 + [0.1], "row 9 of U"), ([9.0] * 4 + [0.0] + [9.0] * 4, "u1 < 0")):
+        scores = compare(laws, scenario, U=Polytope(sides, np.array(most)), **options)
+        assert scores["LQR"].exceeded == exceeded
+    with pytest.raises(InputError, match=r"^U: got an empty set"):
+        compare(laws, scenario, U=Polytope.empty(4), **options)
+
+
+def test_limits_of_inputs_of_another_size_are_refused():
+    with pytest.raises(InputError, match="U"):
+        found(U=([-1.0, -1.0], [1.0, 1.0]))
+
+
+@pytest.mark.parametrize("X", [([-50.0], [50.0]), ([-0.3], [0.3]), ([-0.05], [0.05])])
+@pytest.mark.parametrize(
+    "limits", [{"U": ([-0.8], [0.8])}, {"output_limits": OutputLimits(lambda x, u, p: u, -0.8, 0.8)}]
+)
+def test_limits_that_the_baseline_leaves_often_do_not_hide_others_that_it_keeps(X, limits):
+    laws = {"LQR": LinearFeedback([[0.6]], -0.8, 0.8), "gain": LinearFeedback([[0.6]])}
+    result = found({n: lambda d, rng, law=law: law for n, law in laws.items()}, X=X, seeds=10, **limits)["gain"]
+    assert result.evidence.gain.ci95[0] > 0
+    assert result.word == "better in return only"
+    assert "u1" in result.evidence.violation.exceeded or "y1" in result.evidence.violation.exceeded
+    assert result.evidence.violation.tolerance == (0.0, 0.0)  # the baseline keeps these
+    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=X, **limits)
+    assert "LQR" in scores["gain"].further_outside_than
