@@ -14,12 +14,13 @@ from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, as_measurement
 from ccdtools.exceptions import CCDError, InputError, SimulatorError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.models import Simulable, Step, as_simulable
+from ccdtools.plants.models import Simulable, as_simulable
+from ccdtools.plants.simulated_model import stepped
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_count, as_finite, as_floats, as_generator, shown
-from ccdtools_ground.user_functions import in_words, stopped
+from ccdtools_ground.user_functions import at_step, stopped
 
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
 
@@ -122,11 +123,11 @@ def _run(
         inputs[:, k] = u if whole else np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         try:
-            x_next = _after(step, x, u, w[:, k])
-        except InputError as error:
-            died = SimulatorError(error.argument, error.got, error.expected, error.cure)
-            died.step, died.kept = k, logged(k) if k else None
-            raise died from error
+            with at_step(k):
+                x_next = stepped(step, x, u, w[:, k])
+        except SimulatorError as error:
+            error.kept = logged(k) if k else None
+            raise
         if k < first:
             edge = np.maximum(edge, _beyond(np.where(np.isfinite(x_next), x_next, 0.0)))
         inside = np.abs(x_next) <= edge
@@ -138,20 +139,6 @@ def _run(
             running, whole = diverged_at < 0, False
         states[:, k + 1] = x
     return logged(steps)
-
-
-def _after(step: Step, x: Array, u: Array, w: Array) -> Array:
-    """Next states (n, nx) by a plant's step, which may be a user's own."""
-    try:
-        found = np.asarray(step(x, u, w), dtype=float)
-    except (CCDError, MemoryError):
-        raise
-    except Exception as error:
-        at = f" at x = {shown(x)}, u = {shown(u)}"
-        raise SimulatorError("plant", f"a step that stops with {in_words(error)[0]}{at}", f"x⁺ {x.shape}") from error
-    if found.shape != x.shape:
-        raise SimulatorError("plant", f"a step to states of shape {found.shape}", f"{x.shape}")
-    return found
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]) -> Array:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ccdtools_ground.door import as_count, brief
+from ccdtools_ground.user_functions import at_step
 from learning.checks import check_instance
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
@@ -91,6 +92,8 @@ class Collector:
         ------
         InputError
             If the environment gives anything but what `VectorEnv` states.
+        SimulatorError
+            If it stops in a step.
         """
         as_count("steps", steps)
         agent = self.agent
@@ -102,7 +105,9 @@ class Collector:
             noise = torch.randn(policy.mean.shape, generator=self.generator).to(device)
             latent = policy.mean + policy.stddev * noise
             actions = agent.action(latent, observation).to(self._observation.device)
-            columns.append((observation, latent, policy.mean, policy.stddev, *self._step(actions)))
+            with at_step(self.steps + len(columns), "env"):
+                taken = self.env.step(actions)
+            columns.append((observation, latent, policy.mean, policy.stddev, *self._checked(*taken)))
         seen, latents, mean, std, *experience = (torch.stack(column).to(device) for column in zip(*columns))
         log_probs = torch.distributions.Normal(mean, std, validate_args=False).log_prob(latents).sum(-1)
         successors, *counted = experience
@@ -118,10 +123,9 @@ class Collector:
                 raise InputError("env", brief(f"the {name} {column[k].tolist()} at step {k} of a rollout"), expected)
         return rollout
 
-    def _step(self, actions: Tensor) -> list[Tensor]:
+    def _checked(self, following: Tensor, successor: Tensor, reward: Tensor, *ends: Tensor) -> list[Tensor]:
         """Successor, reward, terminated and truncated of a step."""
         n, size = self._observation.shape
-        following, successor, reward, *ends = self.env.step(actions)
         self._observation = self._taken("observations", following, n, size)
         numbers = [self._taken("successors", successor, n, size), self._taken("rewards", reward, n)]
         return numbers + [self._taken("ends of episodes", end, n, kind=torch.bool) for end in ends]
