@@ -55,7 +55,7 @@ def simulate(
     disturbance : (T, nw) or (n, T, nw) array_like, or Disturbance, optional
         Held over each sample; a `Disturbance` is sampled with `rng`. Zero by default.
     design : (np,) array_like
-        Required when the plant has design parameters; for a `LearnedPolicy`, its own.
+        Required when the plant has design parameters; for a `LearnedPolicy`, exported or not, its own.
     limit : (nx,) array_like, optional
         Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. By default 1e6 times the
         largest that a state is in any run at the start and in the first nx samples, and at least 1e6.
@@ -182,7 +182,7 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
     if np.shape(own) != p.shape or not np.allclose(space.to_unit(own), space.to_unit(p), rtol=0, atol=1e-6):
         raise InputError(
             "design", shown(p), f"{shown(np.asarray(own))}, the design of the policy",
-            "Use LearnedPolicy(policy.agent, design) for another.",
+            "Use LearnedPolicy(agent, design), of the agent that it was made of, for another.",
         )  # fmt: skip
 
 
