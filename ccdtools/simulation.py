@@ -12,7 +12,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, as_measurement
-from ccdtools.exceptions import CCDError, InputError, SimulatorError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.plants.simulated_model import stepped
@@ -123,11 +123,11 @@ def _run(
         inputs[:, k] = u if whole else np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         try:
-            with at_step(k):
-                x_next = stepped(step, x, u, w[:, k])
-        except SimulatorError as error:
-            error.kept = logged(k) if k else None
-            raise
+            x_next = stepped(step, x, u, w[:, k])
+        except InputError as error:
+            died = at_step(k, error)
+            died.kept = logged(k) if k else None
+            raise died from error
         if k < first:
             edge = np.maximum(edge, _beyond(np.where(np.isfinite(x_next), x_next, 0.0)))
         inside = np.abs(x_next) <= edge

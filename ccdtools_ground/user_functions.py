@@ -5,13 +5,11 @@ from __future__ import annotations
 import inspect
 import re
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ccdtools_ground.door import brief
-from ccdtools_ground.errors import CCDError, InputError, SimulatorError
+from ccdtools_ground.errors import InputError, SimulatorError
 
 CASADI = re.compile(r'^\.\.\./casadi/\S+:\d+: (?:Assertion ".*?" failed:\s)?')
 KNOWN = (
@@ -37,19 +35,11 @@ def stopped(argument: str, given: Any, error: Exception, expected: str, cure: st
     return InputError(argument, f"a function that stops with {reason}{at}{_line(given, error)}", expected, cure)
 
 
-@contextmanager
-def at_step(k: int, argument: str = "plant") -> Iterator[None]:
-    """Raise what stops in a step as a `SimulatorError` that names the step."""
-    try:
-        yield
-    except Exception as error:
-        if isinstance(error, CCDError | MemoryError) and not isinstance(error, InputError):
-            raise
-        reason = f"a step that stops with {in_words(error)[0]}"
-        own = error if isinstance(error, InputError) else InputError(argument, reason, "an answer")
-        named = SimulatorError(own.argument, own.got, own.expected, own.cure)
-        named.step = k
-        raise named from error
+def at_step(k: int, error: InputError) -> SimulatorError:
+    """Error of a simulator or environment that names the step."""
+    named = SimulatorError(error.argument, error.got, error.expected, error.cure)
+    named.step = k
+    return named
 
 
 def in_words(error: Exception) -> tuple[str, str]:

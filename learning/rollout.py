@@ -91,9 +91,8 @@ class Collector:
         Raises
         ------
         InputError
-            If the environment gives anything but what `VectorEnv` states.
-        SimulatorError
-            If it stops in a step.
+            If the environment gives anything but what `VectorEnv` states, or stops with one: a `SimulatorError` then
+            names the step.
         """
         as_count("steps", steps)
         agent = self.agent
@@ -105,9 +104,11 @@ class Collector:
             noise = torch.randn(policy.mean.shape, generator=self.generator).to(device)
             latent = policy.mean + policy.stddev * noise
             actions = agent.action(latent, observation).to(self._observation.device)
-            with at_step(self.steps + len(columns), "env"):
-                taken = self.env.step(actions)
-            columns.append((observation, latent, policy.mean, policy.stddev, *self._checked(*taken)))
+            try:
+                taken = self._step(actions)
+            except InputError as error:
+                raise at_step(self.steps + len(columns), error) from error
+            columns.append((observation, latent, policy.mean, policy.stddev, *taken))
         seen, latents, mean, std, *experience = (torch.stack(column).to(device) for column in zip(*columns))
         log_probs = torch.distributions.Normal(mean, std, validate_args=False).log_prob(latents).sum(-1)
         successors, *counted = experience
@@ -123,9 +124,10 @@ class Collector:
                 raise InputError("env", brief(f"the {name} {column[k].tolist()} at step {k} of a rollout"), expected)
         return rollout
 
-    def _checked(self, following: Tensor, successor: Tensor, reward: Tensor, *ends: Tensor) -> list[Tensor]:
+    def _step(self, actions: Tensor) -> list[Tensor]:
         """Successor, reward, terminated and truncated of a step."""
         n, size = self._observation.shape
+        following, successor, reward, *ends = self.env.step(actions)
         self._observation = self._taken("observations", following, n, size)
         numbers = [self._taken("successors", successor, n, size), self._taken("rewards", reward, n)]
         return numbers + [self._taken("ends of episodes", end, n, kind=torch.bool) for end in ends]

@@ -23,6 +23,7 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.budgets import HELD_SAMPLES, LONGEST_SEGMENT
 from ccdtools.co_design.risk import fewest_runs
+from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools_ground.user_functions import at_step
 from learning.networks import ActorCritic, scaled
@@ -305,8 +306,10 @@ def _segment(
     going: list[Tensor] = []
     for k in range(w.shape[1]):
         u = law(x)
-        with at_step(first + k):
+        try:
             x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        except InputError as error:
+            raise at_step(first + k, error) from error
         if guarded:
             x_next = torch.where(running[:, None], step.numbers(x_next), x)
             e_next = torch.where(running[:, None], e_next, e)

@@ -48,8 +48,10 @@ def follow(
             visited.append(x)
             actions.append(u)
         before = x
-        with at_step(k):
+        try:
             x, penalty = step(x, u, w[:, k])
+        except InputError as error:
+            raise at_step(k, error) from error
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
         earned = problem.objective.rewards(x, u, before, starts.p) - penalty
         rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)

@@ -54,8 +54,10 @@ def loops_of(
         seen = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, 0.0)  # of a lost run nothing
         u = np.asarray(law(seen))
         moved = np.clip(u if applied is None else applied(seen, u), *problem.input_bounds_at(p))
-        with at_step(k):
+        try:
             after = np.asarray(step(x, moved, w[:, k]))
+        except InputError as error:
+            raise at_step(k, error) from error
         states.append(x)
         inputs.append(u)
         rewards.append(np.asarray(problem.objective.rewards(after, moved, x, p)))

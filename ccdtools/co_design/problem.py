@@ -201,7 +201,7 @@ class CoDesignProblem(Immutable):
 
     def _model(self) -> Any:
         """The model, whose designs single precision tells apart."""
-        model = as_regulated_model("model", self.model)
+        model: Any = as_regulated_model("model", self.model)
         model = model if model.design is not None else model.within(NO_DESIGN)
         _check_widths(model.design)
         return model

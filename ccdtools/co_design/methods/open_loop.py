@@ -218,8 +218,10 @@ def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: A
     states, inputs = [x0], []
     for k in range(w.shape[1]):
         u = law(states[-1])
-        with at_step(k):
+        try:
             after = np.nan_to_num(step(states[-1], u, w[:, k]))
+        except InputError as error:
+            raise at_step(k, error) from error
         after = np.clip(after, -2 * problem.state_scale, 2 * problem.state_scale)
         states.append(after)
         inputs.append(u)
