@@ -12,14 +12,15 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, as_measurement
-from ccdtools.exceptions import CCDError, InputError, SimulatorError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.models import Simulable, Step, as_simulable
+from ccdtools.plants.models import Simulable, as_simulable
+from ccdtools.plants.simulated_model import stepped
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_count, as_finite, as_floats, as_generator, shown
-from ccdtools_ground.user_functions import in_words, stopped
+from ccdtools_ground.user_functions import at_step, stopped
 
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
 
@@ -54,7 +55,7 @@ def simulate(
     disturbance : (T, nw) or (n, T, nw) array_like, or Disturbance, optional
         Held over each sample; a `Disturbance` is sampled with `rng`. Zero by default.
     design : (np,) array_like
-        Required when the plant has design parameters; for a `LearnedPolicy`, its own.
+        Required when the plant has design parameters; for a `LearnedPolicy`, exported or not, its own.
     limit : (nx,) array_like, optional
         Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. By default 1e6 times the
         largest that a state is in any run at the start and in the first nx samples, and at least 1e6.
@@ -122,10 +123,10 @@ def _run(
         inputs[:, k] = u if whole else np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         try:
-            x_next = _after(step, x, u, w[:, k])
+            x_next = stepped(step, x, u, w[:, k])
         except InputError as error:
-            died = SimulatorError(error.argument, error.got, error.expected, error.cure)
-            died.step, died.kept = k, logged(k) if k else None
+            died = at_step(k, error)
+            died.kept = logged(k) if k else None
             raise died from error
         if k < first:
             edge = np.maximum(edge, _beyond(np.where(np.isfinite(x_next), x_next, 0.0)))
@@ -138,20 +139,6 @@ def _run(
             running, whole = diverged_at < 0, False
         states[:, k + 1] = x
     return logged(steps)
-
-
-def _after(step: Step, x: Array, u: Array, w: Array) -> Array:
-    """Next states (n, nx) by a plant's step, which may be a user's own."""
-    try:
-        found = np.asarray(step(x, u, w), dtype=float)
-    except (CCDError, MemoryError):
-        raise
-    except Exception as error:
-        at = f" at x = {shown(x)}, u = {shown(u)}"
-        raise SimulatorError("plant", f"a step that stops with {in_words(error)[0]}{at}", f"x⁺ {x.shape}") from error
-    if found.shape != x.shape:
-        raise SimulatorError("plant", f"a step to states of shape {found.shape}", f"{x.shape}")
-    return found
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]) -> Array:
@@ -195,7 +182,7 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
     if np.shape(own) != p.shape or not np.allclose(space.to_unit(own), space.to_unit(p), rtol=0, atol=1e-6):
         raise InputError(
             "design", shown(p), f"{shown(np.asarray(own))}, the design of the policy",
-            "Use LearnedPolicy(policy.agent, design) for another.",
+            "Use LearnedPolicy(agent, design), of the agent that it was made of, for another.",
         )  # fmt: skip
 
 

@@ -72,7 +72,7 @@ class SimulatorError(InputError):
     Attributes
     ----------
     step : int or None
-        Sample of the simulation, or of a training since it began here, in which it did.
+        Sample of the simulation or training, counted from 0, in which it did.
     kept : Trajectory, Deployment or None
         What was gathered before: the samples of `simulate` or `deploy`, or the parts of `deploy_and_update` that ended.
     """
@@ -81,4 +81,4 @@ class SimulatorError(InputError):
     kept: object = None
 
     def __str__(self) -> str:
-        return super().__str__() + ("" if self.step is None else f" It was at step {self.step}.")
+        return super().__str__() + ("" if self.step is None else f" It was at step {self.step}, counted from 0.")

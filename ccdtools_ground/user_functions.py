@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdtools_ground.door import brief
-from ccdtools_ground.errors import InputError
+from ccdtools_ground.errors import InputError, SimulatorError
 
 CASADI = re.compile(r'^\.\.\./casadi/\S+:\d+: (?:Assertion ".*?" failed:\s)?')
 KNOWN = (
@@ -33,6 +33,13 @@ def stopped(argument: str, given: Any, error: Exception, expected: str, cure: st
     reason, own = in_words(error)
     cure = f"{own} {cure}".strip()
     return InputError(argument, f"a function that stops with {reason}{at}{_line(given, error)}", expected, cure)
+
+
+def at_step(k: int, error: InputError) -> SimulatorError:
+    """Error of a simulator or environment that names the step."""
+    named = SimulatorError(error.argument, error.got, error.expected, error.cure)
+    named.step = k
+    return named
 
 
 def in_words(error: Exception) -> tuple[str, str]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ccdtools_ground.door import as_count, brief
+from ccdtools_ground.user_functions import at_step
 from learning.checks import check_instance
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
@@ -90,7 +91,8 @@ class Collector:
         Raises
         ------
         InputError
-            If the environment gives anything but what `VectorEnv` states.
+            If the environment gives anything but what `VectorEnv` states, or stops with one: a `SimulatorError` then
+            names the step.
         """
         as_count("steps", steps)
         agent = self.agent
@@ -102,7 +104,11 @@ class Collector:
             noise = torch.randn(policy.mean.shape, generator=self.generator).to(device)
             latent = policy.mean + policy.stddev * noise
             actions = agent.action(latent, observation).to(self._observation.device)
-            columns.append((observation, latent, policy.mean, policy.stddev, *self._step(actions)))
+            try:
+                taken = self._step(actions)
+            except InputError as error:
+                raise at_step(self.steps + len(columns), error) from error
+            columns.append((observation, latent, policy.mean, policy.stddev, *taken))
         seen, latents, mean, std, *experience = (torch.stack(column).to(device) for column in zip(*columns))
         log_probs = torch.distributions.Normal(mean, std, validate_args=False).log_prob(latents).sum(-1)
         successors, *counted = experience

@@ -78,6 +78,8 @@ def codesign(
 ) -> CoDesignResult:
     """Best design and controller found for `problem`.
 
+    It can take minutes, and prints nothing meanwhile unless `progress` is set.
+
     Parameters
     ----------
     problem : CoDesignProblem

@@ -16,7 +16,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.controllers.history import History
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_array, as_count, as_instance, as_vector, shown
+from ccdtools_ground.door import as_array, as_count, as_instance, shown
 
 if TYPE_CHECKING:
     from gymnasium import Env, spaces
@@ -97,7 +97,7 @@ class DesignEnv(Base):
         InputError
             If the action is no vector of nu finite numbers, or no episode goes on.
         """
-        action = as_vector("action", action, self.problem.model.nu)
+        action = as_array("action", action, (self.problem.model.nu,))
         if self._episodes.over[0]:
             raise InputError("step", "no episode that goes on", "a reset before it")
         rewards, terminated, truncated = self._episodes.step(action[None])

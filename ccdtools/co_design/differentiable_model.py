@@ -23,7 +23,9 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.budgets import HELD_SAMPLES, LONGEST_SEGMENT
 from ccdtools.co_design.risk import fewest_runs
+from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools_ground.user_functions import at_step
 from learning.networks import ActorCritic, scaled
 
 if TYPE_CHECKING:
@@ -269,20 +271,18 @@ def simulated(
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
     segment = partial(_segment, expected=not guarded)
 
-    def advanced(progress: Progress, w: Tensor) -> Progress:
-        """Progress after the steps of `w` (n, T, nw)."""
-        for part in w.split(length, dim=1):
-            if recomputed:
-                progress = checkpoint(segment, step, law, part, depths, *progress, use_reentrant=False)
-            else:
-                progress = segment(step, law, part, depths, *progress)
+    def advanced(progress: Progress, begin: int, end: int) -> Progress:
+        """Progress after the steps from `begin` to `end`."""
+        for first in range(begin, end, length):
+            given = (step, law, w[:, first : min(first + length, end)], first, depths, *progress)
+            progress = checkpoint(segment, *given, use_reentrant=False) if recomputed else segment(*given)
         return progress
 
     if warm_up:
-        x, e, running, total, *_ = advanced(progress, w[:, :warm_up])
+        x, e, running, total, *_ = advanced(progress, 0, warm_up)
         total = torch.where(running, nothing, total)  # lost runs keep their cost
         progress = (x, e, running, total, nothing, nothing, nothing)
-    x, _, running, total, depth, peak, outside = advanced(progress, w[:, warm_up:])
+    x, _, running, total, depth, peak, outside = advanced(progress, warm_up, w.shape[1])
     final = step.final_rewards(x)
     total = total if final is None else total + torch.where(running, final, 0.0).double()
     total = total - step.problem.objective.cost_of_design(step.p, steps)
@@ -290,9 +290,9 @@ def simulated(
 
 
 def _segment(
-    step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor, expected: bool = True
+    step: Stepper, law: Law, w: Tensor, first: int, depths: bool, *before: Tensor, expected: bool = True
 ) -> Progress:  # fmt: skip
-    """Progress after the steps of `w` (n, T, nw).
+    """Progress after the steps of `w` (n, T, nw), counted from `first`.
 
     It is `expected` that no run diverges: whether one did is looked up at the end, and only then is the segment
     computed again with each run frozen where it was lost. A gradient must not pass through states of 1e30.
@@ -306,7 +306,10 @@ def _segment(
     going: list[Tensor] = []
     for k in range(w.shape[1]):
         u = law(x)
-        x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        try:
+            x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        except InputError as error:
+            raise at_step(first + k, error) from error
         if guarded:
             x_next = torch.where(running[:, None], step.numbers(x_next), x)
             e_next = torch.where(running[:, None], e_next, e)
@@ -319,7 +322,7 @@ def _segment(
         penalties.extend(penalty)
     visited = torch.stack(states)
     if not guarded and bool(step.left(visited.detach()).any()):
-        return _segment(step, law, w, depths, *before, expected=False)
+        return _segment(step, law, w, first, depths, *before, expected=False)
 
     def counted(values: Tensor) -> Tensor:
         """Values (T, n) of steps, zero once a run is lost, in double precision."""

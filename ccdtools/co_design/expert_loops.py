@@ -20,7 +20,7 @@ from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.models import Model
 from ccdtools.progress import counted
 from ccdtools_ground.door import as_floats, shown
-from ccdtools_ground.user_functions import stopped
+from ccdtools_ground.user_functions import at_step, stopped
 from invariant_sets import AdmissibleInputs, Polytope
 
 Law = Callable[[Array], Array]
@@ -48,7 +48,10 @@ def follow(
             visited.append(x)
             actions.append(u)
         before = x
-        x, penalty = step(x, u, w[:, k])
+        try:
+            x, penalty = step(x, u, w[:, k])
+        except InputError as error:
+            raise at_step(k, error) from error
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
         earned = problem.objective.rewards(x, u, before, starts.p) - penalty
         rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)

@@ -13,6 +13,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import WORTH_A_START
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools_ground.user_functions import at_step
 from mpc import MPCError
 
 Law = Callable[[Array], Array]
@@ -53,7 +54,10 @@ def loops_of(
         seen = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, 0.0)  # of a lost run nothing
         u = np.asarray(law(seen))
         moved = np.clip(u if applied is None else applied(seen, u), *problem.input_bounds_at(p))
-        after = np.asarray(step(x, moved, w[:, k]))
+        try:
+            after = np.asarray(step(x, moved, w[:, k]))
+        except InputError as error:
+            raise at_step(k, error) from error
         states.append(x)
         inputs.append(u)
         rewards.append(np.asarray(problem.objective.rewards(after, moved, x, p)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -20,7 +20,7 @@ from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.models import as_regulated_model, as_simulable, check_at_rest, steps_alone
+from ccdtools.plants.models import as_regulated_model, check_at_rest
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import ACCURACY, FEASIBLE
 from ccdtools.tolerances import DIVERGENCE
@@ -201,9 +201,7 @@ class CoDesignProblem(Immutable):
 
     def _model(self) -> Any:
         """The model, whose designs single precision tells apart."""
-        model = self.model
-        if not isinstance(model, SimulatedModel):
-            model = as_simulable(model, "model") if steps_alone(model) else as_regulated_model("model", model)
+        model: Any = as_regulated_model("model", self.model)
         model = model if model.design is not None else model.within(NO_DESIGN)
         _check_widths(model.design)
         return model
@@ -238,22 +236,22 @@ class CoDesignProblem(Immutable):
         if size != (self.model.nx, self.model.nx):
             raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")
 
-    def _differenced(self, box: Any) -> Any:
-        """Model of a simulator; other models as they are."""
-        if isinstance(box, SimulatedModel) or not steps_alone(box):
-            return box
+    def _differenced(self, model: Any) -> Any:
+        """Model of a simulator in sizes of the problem; other models as they are."""
+        if not isinstance(model, SimulatedModel) or model.extent is not None:
+            return model
         w = np.abs(self._drawn()[1]).max(axis=(0, 1), initial=0.0)
-        w = w if w.shape == (box.nw,) else np.zeros(box.nw)  # what is wrong with it is said later
+        w = w if w.shape == (model.box.nw,) else np.zeros(model.box.nw)  # what is wrong with it is said later
         extent = np.r_[self.state_scale, np.max(np.abs(self.input_bounds), axis=0), w + (w == 0)]
-        model = SimulatedModel(box, extent)
-        rest = np.zeros(box.nx), np.zeros(box.nu)
+        model = replace(model, extent=extent)
+        rest = np.zeros(model.nx), np.zeros(model.nu)
         apart = np.abs(
             np.subtract(*(model.undisturbed(model.design.project(model.design.centre))(*rest) for _ in "12"))
         )
         if (apart > ACCURACY * self.state_scale).any():
             got = f"a simulator whose steps from one state differ by {apart.max():.3g}"
             raise InputError("model", got, "a deterministic one", "What is random enters by w.")
-        check_at_rest("model", model, as_names("state_names", (), box.nx, "x"), ACCURACY * self.state_scale)
+        check_at_rest("model", model, as_names("state_names", (), model.nx, "x"), ACCURACY * self.state_scale)
         return model
 
     def _drawn(self) -> tuple[Array, Array]:

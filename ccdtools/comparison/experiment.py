@@ -288,7 +288,7 @@ def experiment(
     kept_in = None if folder is None else _as_folder(folder)
     _check(plan, numbers[0])
     tasks = [(name, design, seed) for seed in numbers for design in plan.designs for name in made]
-    names = [f"{name}, seed {seed}" for name, _, seed in tasks]
+    names = [", ".join(filter(None, (name, design, f"seed {seed}"))) for name, design, seed in tasks]
     files = [None] * len(tasks) if kept_in is None else plan.files(kept_in, tasks)
     found = as_they_end(
         plan.record, list(zip(tasks, files)), jobs=as_jobs(jobs), label="tasks", names=names, progress=progress

@@ -151,12 +151,14 @@ class LearnedPolicy(Immutable):
     def to_onnx(self, path: str | Path) -> Path:
         """Write the mean action as an ONNX model in double precision: x (n, nx) to u (n, nu).
 
+        Its metadata hold the design.
+
         Raises
         ------
         InputError
             If onnx is not installed, or the folder does not exist.
         """
-        return write_onnx(*self._normalised(), self._range, writable_path("path", path))
+        return write_onnx(*self._normalised(), self._range, self.design, writable_path("path", path))
 
     def _normalised(self) -> tuple[Layers, Array, Array]:
         """Layers of the mean in states normalised by a centre and half-widths (nx,)."""

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, frozen
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_finite, as_floats, as_instance, brief
 from learning.networks import Layers
 
 OPSET = 17  # of ONNX 1.12, from July 2022
+DESIGN = "ccdtools.design"  # metadata of a policy at a design
 
 
-def write_onnx(layers: Layers, centre: Array, width: Array, action_range: tuple[Array, Array], path: Path) -> Path:
+def write_onnx(
+    layers: Layers, centre: Array, width: Array, action_range: tuple[Array, Array], design: Array, path: Path
+) -> Path:  # fmt: skip
     """Path of an ONNX model, written for layers in normalised states."""
     onnx = _installed("onnx")
     helper, numpy_helper = onnx.helper, onnx.numpy_helper
@@ -50,6 +54,7 @@ def write_onnx(layers: Layers, centre: Array, width: Array, action_range: tuple[
     graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], numbers)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
     model.ir_version = 8
+    helper.set_model_props(model, {DESIGN: json.dumps(design.tolist())})
     onnx.checker.check_model(model, full_check=True)
     onnx.save(model, str(path))
     return path
@@ -63,6 +68,11 @@ class OnnxPolicy:
     path : path
         Of the model: rows of states (n, nx) in, rows of inputs (n, nu) out, in single or double precision; n is free,
         or one. Copies read the file again.
+
+    Attributes
+    ----------
+    design : (np,) array or None
+        That of the policy which wrote the file, the only one at which it is simulated; None of other models.
 
     Raises
     ------
@@ -88,6 +98,8 @@ class OnnxPolicy:
         if len(shape) != 2 or (isinstance(shape[0], int) and shape[0] != 1):
             got = " and ".join(str([(one.shape, one.type) for one in ends]) for ends in (inputs, outputs))
             raise InputError("path", brief(got), "one input (n, nx), n free or 1, and one output, of float or double")
+        design = self._session.get_modelmeta().custom_metadata_map.get(DESIGN)
+        self.design = None if design is None else frozen(np.array(json.loads(design), float))
         self._path = Path(path).resolve()
         self._kind = kinds[inputs[0].type]
         self._input = inputs[0].name

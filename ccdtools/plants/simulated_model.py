@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import CCDError, InputError, SimulatorError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.linear_model import DiscreteModel
 from ccdtools.plants.tolerances import SIMULATED_STEP
+from ccdtools_ground.door import shown
+from ccdtools_ground.user_functions import in_words
 
 Step = Callable[[Array, Array, Array], Array]
 POINTS = np.arange(-2.0, 3.0)  # Steps at which a slope asks, exact to fourth order.
@@ -166,12 +168,12 @@ class SimulatedModel(Immutable):
         p = np.where(self.design.whole, np.round(p), p)
         p = np.clip(p, *self.design.outermost)  # single precision rounds
         if p.ndim == 1:
-            return self.box.stepper(p, batch=len(x))(x, u, w)
+            return stepped(self.box.stepper(p, batch=len(x)), x, u, w)
         designs, of = np.unique(p, axis=0, return_inverse=True)
         after = np.empty((len(x), self.nx))
         for k, design in enumerate(designs):
             runs = of.ravel() == k
-            after[runs] = self.box.stepper(design, batch=int(runs.sum()))(x[runs], u[runs], w[runs])
+            after[runs] = stepped(self.box.stepper(design, batch=int(runs.sum())), x[runs], u[runs], w[runs])
         return after
 
     def slopes(self, x: Array, held: tuple[Array, ...], states: list[Array], multiplier: Array) -> list[Array]:
@@ -255,6 +257,20 @@ class SimulatedModel(Immutable):
                     moved[..., j] += (point + shift) * steps[j]
                     points.append((weight / steps[j], moved))
             yield int(j), points
+
+
+def stepped(step: Step, x: Array, u: Array, w: Array) -> Array:
+    """Next states (n, nx) by a plant's step, which may be a user's own."""
+    try:
+        found = np.asarray(step(x, u, w), dtype=float)
+    except (CCDError, MemoryError):
+        raise
+    except Exception as error:
+        at = f" at x = {shown(x)}, u = {shown(u)}"
+        raise SimulatorError("plant", f"a step that stops with {in_words(error)[0]}{at}", f"x⁺ {x.shape}") from error
+    if found.shape != x.shape:
+        raise SimulatorError("plant", f"a step to states of shape {found.shape}", f"{x.shape}")
+    return found
 
 
 def _weights(shifts: Array) -> Array:

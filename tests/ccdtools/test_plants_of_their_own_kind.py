@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from ccdtools import (
     CoDesignProblem,
@@ -14,6 +15,7 @@ from ccdtools import (
     QuadraticObjective,
     RealPlant,
     Scenario,
+    closed_loop_returns,
     codesign,
     compare,
     deploy,
@@ -21,10 +23,11 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
-from ccdtools.co_design import DesignEnv
+from ccdtools.co_design import DesignEnv, EpisodeEnv
 from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import BlackBox
 from ccdtools.twin import replay_problem
+from learning import train
 
 LAWS = {"LQR": LinearFeedback([[0.4, 0.8]]), "half": LinearFeedback([[0.2, 0.4]])}
 OBJECTIVE = QuadraticObjective(np.eye(2), [[0.1]], design_cost=lambda p: 2.0 / p[0])
@@ -141,9 +144,51 @@ class Alone(Cart):
 
 
 def test_one_that_dies_says_where_and_keeps_what_was_simulated():
-    with pytest.raises(SimulatorError, match=r"licence lost at x = .* at step 3\.") as caught:
+    with pytest.raises(SimulatorError, match=r"licence lost at x = .* at step 3, counted from 0\.") as caught:
         simulate(Dying(), LAWS["LQR"], x0=[1.0, 0.0], steps=30, design=[1.0])
     assert caught.value.kept.inputs.shape == (1, 3, 1)
+
+
+class Ageing:
+    """Plant whose second state falls by a tenth in a sample, and which stops below a half, in the eighth."""
+
+    nx, nu, nw, dt = 2, 1, 0, 0.1
+    design = None
+
+    def stepper(self, p, *, batch):
+        def step(x, u, w):
+            age = np.abs(x[:, 1])
+            if ((age > 0.1) & (age < 0.5)).any():
+                raise OSError("licence lost")
+            return np.hstack([0.8 * x[:, :1] + 0.1 * u, 0.9 * x[:, 1:]])
+
+        return step
+
+
+def ageing():
+    return CoDesignProblem(
+        Ageing(), **LIMITS, steps=30, scenarios=FixedStart([0.0, 1.0]), objective=QuadraticObjective(np.eye(2), [[1.0]])
+    )
+
+
+def trained():
+    env = EpisodeEnv(ageing(), [], runs=3, rng=np.random.default_rng(0))
+    train(env, env.agent(), iterations=9, steps=4, generator=torch.Generator().manual_seed(0))
+
+
+RUNS = {
+    "simulated": lambda: simulate(Ageing(), LAWS["LQR"], x0=np.tile([0.0, 1.0], (3, 1)), steps=30),
+    "trained on": trained,
+    "co-designed": lambda: codesign(ageing(), method="pathwise", rng=np.random.default_rng(0)),
+    "measured": lambda: closed_loop_returns(ageing(), LAWS["LQR"], [], np.random.default_rng(0), runs=3),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_the_step_at_which_many_runs_stop_is_named(name):
+    with pytest.raises(SimulatorError, match=r"licence lost at x = .* at step 7, counted from 0\.") as caught:
+        RUNS[name]()
+    assert caught.value.step == 7
 
 
 def test_one_that_moves_to_another_shape_says_so():

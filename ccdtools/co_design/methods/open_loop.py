@@ -23,6 +23,7 @@ from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.simulated_model import SimulatedModel
+from ccdtools_ground.user_functions import at_step
 from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
@@ -217,7 +218,11 @@ def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: A
     states, inputs = [x0], []
     for k in range(w.shape[1]):
         u = law(states[-1])
-        after = np.clip(np.nan_to_num(step(states[-1], u, w[:, k])), -2 * problem.state_scale, 2 * problem.state_scale)
+        try:
+            after = np.nan_to_num(step(states[-1], u, w[:, k]))
+        except InputError as error:
+            raise at_step(k, error) from error
+        after = np.clip(after, -2 * problem.state_scale, 2 * problem.state_scale)
         states.append(after)
         inputs.append(u)
     x, u = np.stack(states, axis=1), np.stack([*inputs, inputs[-1]], axis=1)

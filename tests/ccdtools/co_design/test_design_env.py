@@ -244,7 +244,7 @@ def test_wrong_calls_name_their_argument(problem):
     with pytest.raises(InputError, match="step: got no episode"):
         env.step([0.0])
     env.reset()
-    for action in ([np.nan], [0.0, 0.0], [[0.0]]):
+    for action in ([np.nan], [0.0, 0.0], [[0.0]], 0.0):
         with pytest.raises(InputError, match="action"):
             env.step(action)
     while not any(env.step([0.0])[2:4]):

@@ -248,7 +248,7 @@ def test_a_plant_is_compared_at_each_parameter_a_share_larger_and_smaller():
             Servo().varied(share)
 
 
-def test_designs_and_metrics_have_columns_of_their_own(illustrative):
+def test_designs_and_metrics_have_columns_of_their_own_and_progress_names_the_design(illustrative, capsys):
     problem = illustrative.problem()
     x0, w = problem.scenarios.sample(5, 10, np.random.default_rng(1))
     laws = {
@@ -257,8 +257,9 @@ def test_designs_and_metrics_have_columns_of_their_own(illustrative):
     result = experiment(
         laws,
         Scenario(problem.model, x0, np.array(w)), designs={"low": [1.0], "high": [2.0]}, objective=problem.objective,
-        X=problem.X, seeds=2, metrics=lambda run: {"first input": float(run.inputs[0, 0, 0])},
+        X=problem.X, seeds=2, metrics=lambda run: {"first input": float(run.inputs[0, 0, 0])}, progress=True,
     )  # fmt: skip
+    assert "tasks, now gain, high, seed 1: " in capsys.readouterr().err
     text = repr(result)
     assert "design" in text
     assert "first input" in text

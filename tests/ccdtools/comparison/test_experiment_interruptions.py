@@ -76,7 +76,7 @@ def test_a_simulator_that_stops_in_the_first_step_is_a_row_that_stopped(starts):
     assert result["none", "good"].evidence.lost == (0, 0)
     assert result["none", "dead"].evidence.lost == (2 * stopped, 2 * stopped)
     assert "dead: advance: got a function that stops with OSError: the solver failed" in result["none", "dead"].remark
-    assert f"at step 0. ({stopped} of 2 runs)" in result["none", "dead"].remark
+    assert f"at step 0, counted from 0. ({stopped} of 2 runs)" in result["none", "dead"].remark
     with pytest.raises(InputError, match="objective"):
         found(LAWS, dead, seeds=2, objective=QuadraticObjective(np.eye(2), [[1.0]]))
 

@@ -406,6 +406,21 @@ def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, 
     assert again(x[0]).shape == (2,)
 
 
+def test_an_onnx_model_is_taken_at_the_design_that_it_was_written_at_alone(tmp_path):
+    plant = BlackBox(lambda x, u, w, p: 0.9 * x, nx=4, nu=2, dt=0.1, design=DesignSpace(["m"], [1e4], [4e4]))
+    path = policy().to_onnx(tmp_path / "policy.onnx")
+    law = OnnxPolicy(path)
+    assert simulate(plant, law, x0=WIDE, steps=3, design=[2e4]).inputs.any()
+    with pytest.raises(InputError, match=r"design: got \[30000.0\], expected \[20000.0\], the design of the policy"):
+        simulate(plant, law, x0=WIDE, steps=3, design=[3e4])
+    np.testing.assert_array_equal(History(law, 1).design, [2e4])
+    model = onnx.load(path)
+    del model.metadata_props[:]  # as of a model of others
+    onnx.save(model, path)
+    assert OnnxPolicy(path).design is None
+    simulate(plant, OnnxPolicy(path), x0=WIDE, steps=3, design=[3e4])
+
+
 @pytest.mark.parametrize("law", [of_outputs(), of_estimate()], ids=["history", "filter"])
 def test_an_onnx_model_of_a_memory_is_the_controller_again(tmp_path, rng, law):
     again = replace(law, controller=OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")))

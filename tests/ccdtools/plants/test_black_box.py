@@ -437,7 +437,7 @@ def test_a_process_that_hangs_ends_after_the_one_that_called_it():
 
 @pytest.mark.parametrize("step_limit", [None, 60.0])
 def test_a_simulator_that_stops_keeps_what_was_simulated_before(step_limit):
-    with pytest.raises(SimulatorError, match=r"OSError: no licence at x = .* at step \d+\.") as caught:
+    with pytest.raises(SimulatorError, match=r"OSError: no licence at x = .* at step \d+, counted from 0\.") as caught:
         running(advance=unlicensed_near_rest, step_limit=step_limit)
     whole, k = running(), caught.value.step
     assert k > 0
