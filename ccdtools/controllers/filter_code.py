@@ -111,10 +111,12 @@ int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], re
 """
 
 ROOT = """
-/* lower root of a covariance, 0 along what is known; returns how many other columns there are, at least one */
-static real root_of(int n, const real *P, real *root)
+/* lower root of a covariance, 0 along what is known, and the share to which a column counts; returns the sum of these,
+   at least one */
+static real root_of(int n, const real *P, real *root, real *share)
 {
-    int i, j, k, count = 0;
+    real count = 0;
+    int i, j, k;
     for (j = 0; j < n; j++) {
         real pivot = 0;
         for (i = 0; i < n; i++) {
@@ -125,9 +127,11 @@ static real root_of(int n, const real *P, real *root)
             pivot = i == j && sum > @rounding@ * P[j * n + j] ? @sqrt@(sum) : pivot;
             root[i * n + j] = pivot > 0 ? sum / pivot : 0;
         }
-        count += pivot > 0;
+        share[j] = pivot > 0 ? pivot * pivot / (@smooth@ * P[j * n + j]) : 0;
+        share[j] = share[j] < 1 ? share[j] * share[j] * (3 - 2 * share[j]) : 1;
+        count += share[j];
     }
-    return (real)(count > 0 ? count : 1);
+    return count > 1 ? count : 1;
 }
 """
 
@@ -167,7 +171,8 @@ CUBATURE = """
 static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real with_state[@m@ * NT],
                 real own[@m@ * @m@])
 {
-    real both[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], up[@n@][@m@], down[@n@][@m@], count, far;
+    real both[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], up[@n@][@m@], down[@n@][@m@];
+    real share[@n@], count, far;
     int i, j, k;
     for (i = 0; i < @n@; i++) {
         centre[i] = i < NT ? x[i] : held[i - NT];
@@ -175,7 +180,7 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
             both[i * @n@ + j] = i < NT && j < NT ? P[i][j] : i < NT || j < NT ? 0 : held_noise[i - NT][j - NT];
         }
     }
-    count = root_of(@n@, both, root);
+    count = root_of(@n@, both, root, share);
     far = @sqrt@(count);
     for (j = 0; j < @n@; j++) {
         for (i = 0; i < @n@; i++) {
@@ -190,7 +195,7 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
     for (i = 0; i < @m@; i++) {
         mean[i] = up[0][i];
         for (j = 0; j < @n@; j++) {
-            mean[i] += root[j * @n@ + j] > 0 ? ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count : 0;
+            mean[i] += share[j] * ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count;
         }
         for (k = 0; k < NT; k++) {
             with_state[i * NT + k] = 0;
@@ -203,7 +208,7 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
             for (j = 0; j < @n@; j++) {
                 const real even = (up[j][i] + down[j][i]) / 2 - mean[i], other = (up[j][k] + down[j][k]) / 2 - mean[k];
                 const real odd = (up[j][i] - down[j][i]) * (up[j][k] - down[j][k]) / 4;
-                sum += root[j * @n@ + j] > 0 ? (odd + even * other) / count : 0;
+                sum += (odd + share[j] * even * other) / count;
             }
             own[i * @m@ + k] = sum;
             own[k * @m@ + i] = sum;
@@ -268,7 +273,8 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     rounding = max(ROUNDED_SUM, 4 * float(np.finfo(np.float32 if scalar == "float" else float).eps))
     held = {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
     needed = HELD + ROOT if "root_of" in "".join(found.values()) else ""
-    tools = fill(needed, one | held | {"rounding": real(rounding, scalar)})
+    smooth = real(ROUNDED_SUM**0.5, scalar)
+    tools = fill(needed, one | held | {"rounding": real(rounding, scalar), "smooth": smooth})
     texts = {name: table(values, scalar) for name, values in tables.items()}
     return texts | found | {"ny": plant.ny, "nw": nw, "tools": tools}
 

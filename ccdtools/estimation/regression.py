@@ -29,11 +29,22 @@ def root(n: int) -> ca.Function:
     return ca.Function("root", [P], [L])
 
 
+def _counted(L: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Roots (1, n) of the shares to which axes of a root count, and the sum of these shares, at least one.
+
+    What is known does not count, and what is all but known counts smoothly, as a likelihood has to be smooth.
+    """
+    size = ca.sum2(L**2).T
+    part = ca.fmin(ca.diag(L).T ** 2 / (ROUNDED_SUM**0.5 * ca.if_else(size > 0, size, 1.0)), 1.0)
+    weight = part * ca.sqrt(3 - 2 * part)
+    return weight, ca.fmax(ca.sum2(weight**2), 1)
+
+
 @cache
 def points(n: int) -> ca.Function:
     """Function x (n,), L (n, n) → cubature points (n, 2 n), which are x along what is known."""
     x, L = ca.SX.sym("x", n), ca.SX.sym("L", n, n)
-    away = ca.sqrt(ca.fmax(ca.sum1(ca.diag(L) > 0), 1)) * L
+    away = ca.sqrt(_counted(L)[1]) * L
     return ca.Function("points", [x, L], [x + ca.horzcat(away, -away)])
 
 
@@ -48,15 +59,14 @@ def regressed(m: int, n: int) -> ca.Function:
     """
     values, L = ca.SX.sym("values", m, 2 * n), ca.SX.sym("L", n, n)
     up, down = ca.horzsplit(values, n)
-    unknown = ca.diag(L).T > 0
-    count = ca.fmax(ca.sum2(unknown), 1)
+    weight, count = _counted(L)
     middle = (up + down) / 2 - values[:, 0]
-    moved = ca.sum2(middle @ ca.diag(unknown)) / count
-    left = (middle - moved) @ ca.diag(unknown) / ca.sqrt(count)
+    moved = middle @ weight.T**2 / count
+    left = (middle - moved) @ ca.diag(weight) / ca.sqrt(count)
     H = (up - down) / (2 * ca.sqrt(count))
     for j in reversed(range(n)):  # H L are the differences
         rest = H[:, j] - H[:, j + 1 :] @ L[j + 1 :, j]
-        H[:, j] = ca.if_else(unknown[j], rest / ca.if_else(unknown[j], L[j, j], 1.0), 0.0)
+        H[:, j] = ca.if_else(L[j, j] > 0, rest / ca.if_else(L[j, j] > 0, L[j, j], 1.0), 0.0)
     return ca.Function("regressed", [values, L], [values[:, 0] + moved, H, left @ left.T])
 
 

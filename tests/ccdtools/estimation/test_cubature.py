@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -210,6 +211,23 @@ def test_what_is_known_exactly_is_no_state():
     np.testing.assert_allclose(more.means[..., :2], own.means, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(more.means[..., 2:], np.broadcast_to([3.0, -1.0], (3, STEPS, 2)), rtol=1e-14)
     np.testing.assert_allclose(more.covariances[..., :2, :2], own.covariances, rtol=1e-8, atol=1e-14)
+
+
+@pytest.mark.parametrize("units", [1.0, 1e-6])
+def test_what_becomes_known_leaves_a_belief_smoothly(units):
+    one = np.array([1.0, units])
+    x, u, w = (ca.SX.sym(name, n) for name, n in (("x", 2), ("u", 1), ("w", 1)))
+    after = [x[0] + x[1] / units, units * (0.5 * x[1] / units - 2 * ca.sin(x[0]) + u + w)]
+    plant = cc.Plant(x, u, w, None, after, cc.DesignSpace([], [], []), 1.0, continuous=False, outputs=[ca.sin(x[0])])
+    some = CubatureKalmanFilter(plant, W=np.zeros(2), V=[0.01], P0=np.ones(2), disturbance=([0.0], [0.01]))
+    left = np.geomspace(1e-20, 1e-3, 2000)  # variance of the second state beside the first
+    beside = np.sqrt(1 - left)
+    P = np.array([[np.ones(2000), beside], [beside, np.ones(2000)]]).transpose(2, 0, 1) * np.outer(one, one)
+    belief, u = replace(some.start(2000), mean=np.tile([1.0, 0.0], (2000, 1)), covariance=P), np.zeros((2000, 1))
+    for found in (some.predict(belief, u), some.update(belief, u + 1, u)):
+        for part in (found.mean / one, found.covariance / np.outer(one, one)):
+            moves = np.abs(np.diff(part, axis=0)).reshape(1999, -1).max(axis=0)
+            assert (moves < 0.05 * np.ptp(part, axis=0).ravel() + 1e-4).all()
 
 
 @pytest.mark.parametrize("units", [[1.0, 1.0], [1e-6, 1e6]])
