@@ -187,7 +187,7 @@ def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
 
 def set_at(limits: Any, p: ArrayLike | None, argument: str, size: int) -> Polytope:
     """Set of so many numbers at one design (np,), or at none, checked."""
-    if isinstance(limits, DesignLimits) and p is None:
+    if isinstance(limits, DesignLimits) and (p is None or np.size(p) == 0):
         raise InputError("design", "nothing", f"the design whose limits {argument}(p) count")
     return as_set(limits_at(limits, p), argument, size)  # type: ignore[arg-type]
 

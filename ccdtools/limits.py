@@ -92,7 +92,7 @@ class Excursions(Immutable):
         whole = cls.from_depths(together[0][~run.diverged], together[1], left)
 
         def pieces(by_row: Array, texts: Sequence[str]) -> Excursions:
-            """Of all runs, or of the stretches of a single one."""
+            """Violations of all runs, or of stretches of one."""
             if n > 1 or steps < STRETCHES:
                 return cls.from_depths(by_row, texts, left, lost=run.diverged)
             length = min(100, steps // STRETCHES)  # samples of a stretch
@@ -160,7 +160,7 @@ def excursions(states: ArrayLike, X: Polytope, *, names: Sequence[str] | None = 
 
 
 def _depths(x: Array, X: Polytope, names: Sequence[str] = (), argument: str = "X") -> tuple[Array, tuple[str, ...]]:
-    """Violation of each row of X by states (..., nx), as (..., m), negative within, and the texts of the rows."""
+    """Violations (..., m) of rows of X by states (..., nx), negative within, and their texts."""
     rows, bounds, texts = scaled_rows(X, names, argument)
     with np.errstate(over="ignore", invalid="ignore"):
         beyond = x @ rows.T - bounds

@@ -158,7 +158,7 @@ def _held(cell: Any) -> Any:
 
 
 def _installed(module: str) -> bool:
-    """Whether a module belongs to an installed package, this one or Python itself; what is edited in place does not."""
+    """Whether a module belongs to an installed package, this one or Python itself."""
     package = module.split(".")[0]
     if package in OURS or (package in sys.stdlib_module_names and package != "__main__"):
         return True

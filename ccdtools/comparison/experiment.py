@@ -294,10 +294,12 @@ def experiment(
         plan.record, list(zip(tasks, files)), jobs=as_jobs(jobs), label="tasks", names=names, progress=progress
     )
     records = tuple(found)
-    first, p = plan.conditions(numbers[0]), next(iter(plan.designs.values()))
-    sets = {"X": [plan.states_at(scenario, p) for scenario in first.values()]}
-    if U is not None:
-        sets["U"] = [set_at(U, p, "U", scenario.plant.nu) for scenario in first.values()]
+    first = plan.conditions(numbers[0])
+    sets = {
+        kind: {name: [set_at(limits, p, kind, getattr(scenario.plant, size)) for scenario in first.values()]
+               for name, p in plan.designs.items()}
+        for kind, limits, size in (("X", X, "nx"), ("U", U, "nu")) if limits is not None
+    }  # fmt: skip
     told = conditions_in_words(first, plan.designs, objective, sets, numbers)
     return Experiment(records, base, _fresh(plan, numbers), limits_in_words(output_limits, U), told)
 

@@ -15,7 +15,7 @@ Line = tuple[str, ...]
 
 def conditions_in_words(
     scenarios: Mapping[tuple[str, str], Scenario], designs: Mapping[str, Array], objective: Any,
-    limits: Mapping[str, Sequence[Any]], seeds: Sequence[int],
+    limits: Mapping[str, Mapping[str, Sequence[Any]]], seeds: Sequence[int],
 ) -> tuple[Line, ...]:  # fmt: skip
     """Lines (what, which, in words) on plants, scenarios, designs, objective, limits and seeds.
 
@@ -25,28 +25,34 @@ def conditions_in_words(
         Those of the first seed.
     designs : mapping of name to (np,) array
     objective : QuadraticObjective or CustomObjective
-    limits : mapping of "X", and "U" where inputs count, to sequence
-        The sets of the scenarios at the first design.
+    limits : mapping of "X", and "U" where inputs count, to mapping of name of a design to sequence
+        The sets of the scenarios.
     seeds : sequence of int
     """
     plants = {plant: scenario.plant for (_, plant), scenario in scenarios.items()}
     runs = {name: scenario for (name, _), scenario in scenarios.items()}
     space = next(iter(plants.values())).design
     told = space.describe if space is not None else shown
-    boxes = dict.fromkeys(
-        (name, "", " to ".join(str(side.tolist()) for side in one.bounding_box()))
-        for name, sets in limits.items() for one in sets
-    )  # fmt: skip
     whole = list(seeds) == list(range(len(seeds)))
     return (
         *(("plant", name, described(plant)) for name, plant in plants.items()),
         *(("scenario", name, _of_scenario(scenario)) for name, scenario in runs.items()),
         *(("design", name, told(p)) for name, p in designs.items() if len(p)),
         ("objective", "", described(objective)),
-        *boxes,
-        *[("U", "", "not given: any input counts as what the plant can do")][len(limits) - 1 :],
+        *(line for kind, sets in limits.items() for line in _boxes(kind, sets)),
+        *(() if "U" in limits else [("U", "", "not given: any input counts as what the plant can do")]),
         ("seeds", "", f"0 to {len(seeds) - 1}" if whole and len(seeds) > 1 else ", ".join(map(str, seeds))),
     )  # fmt: skip
+
+
+def _boxes(kind: str, sets: Mapping[str, Sequence[Any]]) -> tuple[Line, ...]:
+    """Lines on boxes about limits, for each design where they are others there."""
+    told = {
+        name: tuple(dict.fromkeys(" to ".join(str(side.tolist()) for side in one.bounding_box()) for one in own))
+        for name, own in sets.items()
+    }  # fmt: skip
+    alike = len(set(told.values())) == 1
+    return tuple(dict.fromkeys((kind, "" if alike else name, box) for name, boxes in told.items() for box in boxes))
 
 
 def described(value: Any) -> str:

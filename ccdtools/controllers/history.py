@@ -167,7 +167,7 @@ def _filter_of(path: str | Path, known: dict[str, Any]) -> KalmanFilter | Cubatu
 
 
 def histories(y: Array, u: Array, length: int) -> Array:
-    """Histories (n, T, m (ny + nu)) along records y (n, T, ny) and u (n, T, nu), as `History` sees them."""
+    """Histories (n, T, m (ny + nu)) along records y (n, T, ny), u (n, T, nu)."""
     n, steps = y.shape[:2]
     last = np.concatenate([np.zeros((n, 1, u.shape[2])), u[:, :-1]], axis=1)
     parts = []

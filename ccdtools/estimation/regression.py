@@ -30,7 +30,7 @@ def root(n: int) -> ca.Function:
 
 
 def _counted(L: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Roots (1, n) of the shares to which axes of a root count, and the sum of these shares, at least one.
+    """Weights (1, n) of axes of a root, whose squares are the shares that count, and how many do.
 
     What is known does not count, and what is all but known counts smoothly, as a likelihood has to be smooth.
     """
@@ -87,7 +87,7 @@ def regression(function: Callable[[Any], Any], x: Any, P: Any) -> Regressed:
 
 
 def regressed_step(step: Callable[[Any, Any], Any], x: Any, P: Any, disturbance: tuple[Any, Any]) -> Regressed:
-    """Mean, slope in x, and the covariance beside it, of a step (x, w) → x⁺ with mean and covariance of w."""
+    """Mean, slope in x and covariance beside it of a step (x, w) → x⁺."""
     mean, S = disturbance
     n = x.numel()
     both = ca.vertcat(x, mean)

@@ -245,7 +245,7 @@ def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:
 def _by_logs(
     problem: CoDesignProblem, found: list[FittedGeneration], updated: CoDesignProblem | None
 ) -> FittedGeneration | None:  # fmt: skip
-    """What is deployed, with LQR by the logs at its design or a filter by them; None where there is no such one."""
+    """What is deployed, with LQR or a filter by the logs; None without one."""
     deployed = found[-1]
     if updated is not None and isinstance(deployed.controller, Observed):
         estimator = estimator_at(updated, deployed.design)

@@ -2,11 +2,26 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scalar_experiment import OBJECTIVE, A, drawn, found
 
-from ccdtools import InputError, LinearFeedback, OutputLimits, QuadraticObjective, compare, plant_from_matrices
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    OutputLimits,
+    Plant,
+    QuadraticObjective,
+    compare,
+    discretise,
+    experiment,
+    plant_from_matrices,
+)
 from invariant_sets import Polytope
 
 
@@ -65,3 +80,23 @@ def test_limits_that_the_baseline_leaves_often_do_not_hide_others_that_it_keeps(
     assert result.evidence.violation.tolerance == (0.0, 0.0)  # the baseline keeps these
     scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=X, **limits)
     assert "LQR" in scores["gain"].further_outside_than
+
+
+def test_limits_that_move_with_the_design_are_shown_of_each():
+    space = DesignSpace(["reach"], [0.1], [1.0])
+    x, u, w, p = (ca.SX.sym(name) for name in "xuwp")
+    plant = Plant(x, u, w, p, [A * x + u + w], space, dt=1.0, continuous=False)
+    starts = FixedStart([1.0], Gaussian([0.1]))
+    U = CoDesignProblem(
+        discretise(plant), X=(-50.0, 50.0), U=lambda p: (-p, p), objective=OBJECTIVE, scenarios=starts
+    ).U
+    scenario = replace(drawn(np.random.default_rng(5)), plant=plant)
+    laws = {"LQR": lambda design, rng: LinearFeedback([[0.6]], -design, design)}
+    designs = {"small": [0.2], "large": [0.8]}
+    told = experiment(laws, scenario, objective=OBJECTIVE, X=([-50.0], [50.0]), U=U, designs=designs, seeds=1).header
+    lines = [line for line in told.lines if line[0] in "XU"]
+    assert lines == [
+        ("X", "", "[-50.0] to [50.0]"), ("U", "small", "[-0.2] to [0.2]"), ("U", "large", "[-0.8] to [0.8]")
+    ]  # fmt: skip
+    with pytest.raises(InputError, match=r"design: got nothing, expected the design whose limits U\(p\) count"):
+        found(U=U)
