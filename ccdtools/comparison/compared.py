@@ -205,7 +205,8 @@ def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
     for kind in reversed(range(len(pairs[0][0].peaks) if pairs else 0)):
         own, base = (_excursions(cells, kind) for cells in zip(*pairs))
         if further_outside(own, base):
-            achieved, before = ((float(one.fraction.mean()), float(one.peak.mean())) for one in (own, base))
+            kept = ~np.asarray(own.lost) & ~np.asarray(base.lost)
+            achieved, before = ((float(one.fraction[kept].mean()), float(one.peak[kept].mean())) for one in (own, base))
             most = next(cell.exceeded[kind] for cell, _ in pairs if cell.exceeded[kind])
             return Violation(achieved, before, before, most, False)
     return None

@@ -127,7 +127,10 @@ static real root_of(int n, const real *P, real *root, real *share)
             pivot = i == j && sum > @rounding@ * P[j * n + j] ? @sqrt@(sum) : pivot;
             root[i * n + j] = pivot > 0 ? sum / pivot : 0;
         }
-        share[j] = pivot > 0 ? pivot * pivot / (@smooth@ * P[j * n + j]) : 0;
+        share[j] = 0;
+        for (i = j; i < n && pivot > 0; i++) { /* of the variance of each state */
+            share[j] += P[i * n + i] > 0 ? root[i * n + j] * root[i * n + j] / (@smooth@ * P[i * n + i]) : 0;
+        }
         share[j] = share[j] < 1 ? share[j] * share[j] * (3 - 2 * share[j]) : 1;
         count += share[j];
     }

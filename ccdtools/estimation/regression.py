@@ -32,10 +32,10 @@ def root(n: int) -> ca.Function:
 def _counted(L: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Weights (1, n) of axes of a root, whose squares are the shares that count, and how many do.
 
-    What is known does not count, and what is all but known counts smoothly, as a likelihood has to be smooth.
+    What is known does not count, and what is all but known in every state counts smoothly, as a likelihood has to be.
     """
-    size = ca.sum2(L**2).T
-    part = ca.fmin(ca.diag(L).T ** 2 / (ROUNDED_SUM**0.5 * ca.if_else(size > 0, size, 1.0)), 1.0)
+    size = ca.sum2(L**2)
+    part = ca.fmin((1 / ca.if_else(size > 0, size, 1.0)).T @ L**2 / ROUNDED_SUM**0.5, 1.0)
     weight = part * ca.sqrt(3 - 2 * part)
     return weight, ca.fmax(ca.sum2(weight**2), 1)
 

@@ -82,6 +82,26 @@ def test_limits_that_the_baseline_leaves_often_do_not_hide_others_that_it_keeps(
     assert "LQR" in scores["gain"].further_outside_than
 
 
+@pytest.mark.parametrize("seeds", [1, 10])
+def test_violations_are_told_of_the_runs_that_neither_lost(seeds):
+    x, u, w = (ca.SX.sym(name) for name in "xuw")
+    blows_up = ca.if_else(ca.fabs(x) > 9, 1e9, A * x + u + w)
+    plant = Plant(x, u, w, None, [blows_up], DesignSpace([], [], []), 1.0, continuous=False)
+
+    def scenario(rng):
+        """Runs of which the first is lost; with many seeds all of some."""
+        given = drawn(rng)
+        lost = np.arange(7)[:, None] < (1 if seeds == 1 else 7 * rng.integers(2))
+        return replace(given, plant=plant, x0=np.where(lost, 10.0, 1.0), disturbance=0.0 * given.disturbance)
+
+    laws = {"LQR": LinearFeedback([[0.6]], -0.2, 0.2), "gain": LinearFeedback([[0.6]])}
+    given = {n: lambda d, rng, law=law: law for n, law in laws.items()}
+    result = found(given, scenario, U=([-0.2], [0.2]), seeds=seeds)["gain"]
+    assert result.evidence.lost[0] == result.evidence.lost[1] > 0
+    assert result.evidence.violation.achieved == pytest.approx((1 / 15, 2.0))  # 0.6 once, of the runs that are kept
+    assert result.evidence.violation.before == (0.0, 0.0)
+
+
 def test_limits_that_move_with_the_design_are_shown_of_each():
     space = DesignSpace(["reach"], [0.1], [1.0])
     x, u, w, p = (ca.SX.sym(name) for name in "xuwp")

@@ -230,6 +230,20 @@ def test_what_becomes_known_leaves_a_belief_smoothly(units):
             assert (moves < 0.05 * np.ptp(part, axis=0).ravel() + 1e-4).all()
 
 
+@pytest.mark.parametrize("units", [1.0, 1e-6])
+@pytest.mark.parametrize("beside", [0.1, 3e-4, 1e-4, 1e-5, 1e-8, 0.0])
+def test_a_state_before_does_not_hide_the_rate_that_led_from_it(beside, units):
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u")  # position a sample before, position, rate
+    rate = x[2] / units
+    plant = cc.Plant(x, u, None, None, [x[1], x[1] + beside * rate, x[2]], cc.DesignSpace([], [], []), 1.0,
+                     continuous=False, outputs=[rate**2])  # fmt: skip
+    root = np.array([[1.0, 0.0], [1.0, beside], [0.0, units]])
+    found = CubatureKalmanFilter(plant, W=np.zeros(3), V=[0.01], P0=root @ root.T).filter(
+        np.zeros((1, 1, 1)), np.zeros((1, 1, 1))
+    )
+    np.testing.assert_allclose(found.innovations, [[[-1.0]]], rtol=1e-6)  # the variance of the rate
+
+
 @pytest.mark.parametrize("units", [[1.0, 1.0], [1e-6, 1e6]])
 def test_a_start_on_a_line_stays_symmetric_and_finite(units):
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
