@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import InitVar, dataclass
+from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -229,6 +229,11 @@ class Plant(Symbolic):
     def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p`."""
         return self.explicit_step.at(p)
+
+    @cached_property
+    def for_many_runs(self) -> Plant:
+        """This plant, compiled; always the same object."""
+        return self if self.compiled else replace(self, compiled=True)
 
     @cached_property
     def explicit_step(self) -> ExplicitStep:

@@ -63,8 +63,8 @@ class RealPlant(Immutable):
 
     def __post_init__(self) -> None:
         self._set(plant=as_simulable(self.plant, "real.plant"))
-        if isinstance(self.plant, Plant) and not (self.plant.linear or self.plant.compiled):
-            self._set(plant=replace(self.plant, compiled=True))
+        if isinstance(self.plant, Plant) and not self.plant.linear:
+            self._set(plant=self.plant.for_many_runs)
         self._set(x0=as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
         self._set(runs=as_count("real.runs", self.runs))
         self._set(steps=as_count("real.steps", self.steps))

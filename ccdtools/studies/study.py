@@ -276,7 +276,7 @@ class Study(Immutable):
     def real_is_model(self) -> bool:
         """Whether the real plant is the model itself."""
         real = self.real.plant
-        return (real.plant if isinstance(real, SampledModel) else real) is self.plant
+        return (real.plant if isinstance(real, SampledModel) else real) in (self.plant, self.plant.for_many_runs)
 
     @property
     def price(self) -> RedesignPrice:

@@ -60,6 +60,8 @@ def test_without_a_real_plant_the_steps_are_those_of_the_model():
     assert not run.diverged.any()
     assert study(tank(cubic=0.0, rate=30.0)).real_is_model
     assert not study(tank(rate=30.0), real=real(tank(rate=30.0))).real_is_model
+    same = tank(rate=30.0)
+    assert study(same, real=real(same)).real_is_model
 
 
 @pytest.mark.parametrize("cubic", [0.0, 0.2])
