@@ -65,7 +65,7 @@ def as_they_end(
     if jobs != 1 and len(items) > 1:
         from joblib import Parallel, delayed
 
-        found = Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(item) for item in items)
+        found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_kept)(function, item) for item in items)
         ended = 0
         try:
             for value in bar(found, label=label, total=len(items), progress=progress):
@@ -85,6 +85,17 @@ def as_they_end(
                 shown_bar.n += 1
             else:
                 shown_bar.update()
+
+
+def _kept(function: Callable[[Any], Any], item: Any) -> Any:
+    """Value of a function at an item, in a process that may grow.
+
+    One that has grown by 300 MB is told to end by loky, and was seen to wait for that for ever, with its value kept.
+    """
+    from joblib.externals.loky import process_executor
+
+    process_executor._MAX_MEMORY_LEAK_SIZE = float("inf")  # noqa: SLF001  (there is no public way)
+    return function(item)
 
 
 def interrupted() -> bool:
