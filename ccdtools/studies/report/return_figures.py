@@ -59,7 +59,7 @@ def _draw_gains(ax: style.Axes, places: Sequence[Mapping[str, Any]]) -> None:
     ax.set_yticks(range(len(places)), [place["place"] for place in places])
     ax.set_ylim(len(places) - 0.4, -0.6)
     ax.set_xlabel("gain in return, by source\n[% of what control costs LQR at the start design]")
-    ax.legend(loc="best")
+    ax.figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=4, frameon=False)
 
 
 def history(run: FinishedRun) -> list[ReportFigure]:
