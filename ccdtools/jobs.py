@@ -91,6 +91,7 @@ def _kept(function: Callable[[Any], Any], item: Any) -> Any:
     """Value of a function at an item, in a process that may grow.
 
     One that has grown by 300 MB is told to end by loky, and was seen to wait for that for ever, with its value kept.
+    The limit stays off in a process that is used again.
     """
     from joblib.externals.loky import process_executor
 

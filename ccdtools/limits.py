@@ -32,7 +32,7 @@ class Excursions(Immutable):
     peak : (n,) array
         Largest depth of each run.
     exceeded : str
-        The row that is exceeded most, over all runs; empty where all states lie in X.
+        The row that is exceeded most by runs that did not diverge; empty where their states lie in X.
     limits : str
         What was left: "X", or "the limits" where those of inputs or outputs count, too.
     lost : (n,) bool array, optional
@@ -55,14 +55,17 @@ class Excursions(Immutable):
         self._set(lost=lost)
 
     @classmethod
-    def from_depths(cls, by_row: Array, texts: Sequence[str], limits: str = "X", **options: Any) -> Excursions:
+    def from_depths(
+        cls, by_row: Array, texts: Sequence[str], limits: str = "X", lost: Mask | None = None, single: bool = False
+    ) -> Excursions:
         """Violations of runs from their depths (n, T, m) by row, and the texts of exceeding a row."""
         if not len(by_row):
             return cls(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
         depth = np.maximum(by_row.max(axis=-1), 0.0)
-        largest = by_row.reshape(-1, by_row.shape[-1]).max(axis=0)
+        kept = by_row if lost is None else by_row[~lost]
+        largest = kept.reshape(-1, by_row.shape[-1]).max(axis=0, initial=0.0)
         exceeded = texts[int(np.argmax(largest))] if largest.max() > 0 else ""
-        return cls((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded, limits, **options)
+        return cls((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded, limits, lost, single)
 
     @classmethod
     def from_trajectory(
@@ -172,14 +175,14 @@ def _depths(x: Array, X: Polytope, names: Sequence[str] = (), argument: str = "X
 def further_outside(own: Excursions, other: Excursions) -> bool:
     """Whether runs leave X deeper or more often than another controller's, where neither diverged.
 
-    Of stretches of a single run the differences are a correlated series.
+    Of stretches of a single run the differences are a correlated series; one run beside several tells nothing.
 
     The 95 % interval of the paired difference excludes zero, and the difference matters: more than 0.01 half-widths of
     the peak depth or 0.01 of the states, and more than a twentieth of what the other controller does.
     """
     n = min(len(own.peak), len(other.peak))
     kept = ~(np.asarray(own.lost)[:n] | np.asarray(other.lost)[:n])
-    if not kept.any():
+    if own.single != other.single or not kept.any():
         return False
     for measure in ("peak", "fraction"):
         values, reference = (getattr(one, measure)[:n][kept] for one in (own, other))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -202,13 +202,14 @@ def _no_number(names: Names, seed: int, cell: Cell) -> str:
 
 def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
     """Limits that are left further, or more often, than by the baseline: of one kind, if it is one."""
+    kept = [[replace(cell, lost=own.lost | base.lost) for cell in (own, base)] for own, base in pairs]
     for kind in reversed(range(len(pairs[0][0].peaks) if pairs else 0)):
-        own, base = (_excursions(cells, kind) for cells in zip(*pairs))
+        own, base = (_excursions(cells, kind) for cells in zip(*kept))
         if further_outside(own, base):
-            kept = ~np.asarray(own.lost) & ~np.asarray(base.lost)
-            achieved, before = ((float(one.fraction[kept].mean()), float(one.peak[kept].mean())) for one in (own, base))
-            most = next(cell.exceeded[kind] for cell, _ in pairs if cell.exceeded[kind])
-            return Violation(achieved, before, before, most, False)
+            met = ~np.asarray(own.lost)
+            achieved, before = ((float(one.fraction[met].mean()), float(one.peak[met].mean())) for one in (own, base))
+            deepest = max((cell for cell, _ in kept), key=lambda cell: float(np.nan_to_num(_left(cell, kind)[1])))
+            return Violation(achieved, before, before, deepest.exceeded[kind], False)
     return None
 
 

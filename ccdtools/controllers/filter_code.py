@@ -14,7 +14,6 @@ from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.casadi_operations import c_operations
 from ccdtools_ground.operations import bent_rows
 from mpc.explicit.codegen.c_source import fill, real, table
-from mpc.tolerances import ROUNDED_SUM
 
 FILTER_HEADER = """
 #define @NAME@_NY @ny@ /* outputs */
@@ -111,8 +110,8 @@ int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], re
 """
 
 ROOT = """
-/* lower root of a covariance, 0 along what is known, and the share to which a column counts; returns the sum of these,
-   at least one */
+/* lower root of a covariance to all that counts, and the share to which a column does; returns the sum of these, at
+   least one */
 static real root_of(int n, const real *P, real *root, real *share)
 {
     real count = 0;
@@ -124,12 +123,15 @@ static real root_of(int n, const real *P, real *root, real *share)
             for (k = 0; i >= j && k < j; k++) {
                 sum -= root[i * n + k] * root[j * n + k];
             }
-            pivot = i == j && sum > @rounding@ * P[j * n + j] ? @sqrt@(sum) : pivot;
+            if (i == j) {
+                sum = (sum + @hypot@(sum, 2 * @negligible@ * P[j * n + j])) / 2;
+                pivot = P[j * n + j] > 0 ? @sqrt@(sum) : 0;
+            }
             root[i * n + j] = pivot > 0 ? sum / pivot : 0;
         }
         share[j] = 0;
         for (i = j; i < n && pivot > 0; i++) { /* of the variance of each state */
-            share[j] += P[i * n + i] > 0 ? root[i * n + j] * root[i * n + j] / (@smooth@ * P[i * n + i]) : 0;
+            share[j] += P[i * n + i] > 0 ? root[i * n + j] * root[i * n + j] / (@small@ * P[i * n + i]) : 0;
         }
         share[j] = share[j] < 1 ? share[j] * share[j] * (3 - 2 * share[j]) : 1;
         count += share[j];
@@ -174,7 +176,7 @@ CUBATURE = """
 static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m@], real with_state[@m@ * NT],
                 real own[@m@ * @m@])
 {
-    real both[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], up[@n@][@m@], down[@n@][@m@];
+    real both[@n@ * @n@], root[@n@ * @n@], centre[@n@], point[@n@], up[@n@][@m@], down[@n@][@m@], slope[@m@ * @n@];
     real share[@n@], count, far;
     int i, j, k;
     for (i = 0; i < @n@; i++) {
@@ -200,23 +202,23 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
         for (j = 0; j < @n@; j++) {
             mean[i] += share[j] * ((up[j][i] + down[j][i]) / 2 - up[0][i]) / count;
         }
-        for (k = 0; k < NT; k++) {
-            with_state[i * NT + k] = 0;
-            for (j = 0; j < @n@; j++) {
-                with_state[i * NT + k] += (up[j][i] - down[j][i]) / (2 * far) * root[k * @n@ + j];
+        for (j = @n@ - 1; j >= 0; j--) { /* the slope times the root are the differences */
+            real rest = (up[j][i] - down[j][i]) / (2 * far);
+            for (k = j + 1; k < @n@; k++) {
+                rest -= slope[i * @n@ + k] * root[k * @n@ + j];
             }
+            slope[i * @n@ + j] = root[j * @n@ + j] > 0 ? rest / root[j * @n@ + j] : 0;
         }
-        for (k = 0; k <= i; k++) {
+        for (k = 0; k <= i; k++) { /* what the slope misses */
             real sum = 0;
             for (j = 0; j < @n@; j++) {
                 const real even = (up[j][i] + down[j][i]) / 2 - mean[i], other = (up[j][k] + down[j][k]) / 2 - mean[k];
-                const real odd = (up[j][i] - down[j][i]) * (up[j][k] - down[j][k]) / 4;
-                sum += (odd + share[j] * even * other) / count;
+                sum += share[j] * even * other / count;
             }
             own[i * @m@ + k] = sum;
-            own[k * @m@ + i] = sum;
         }
     }
+    through(@m@, @n@, slope, both, with_state, own);
 }
 """
 
@@ -226,20 +228,31 @@ static void @f@(const real x[NT], real P[NT][NT], const real u[NU], real mean[@m
                 real own[@m@ * @m@])
 {
     real slope[@m@ * NT];
-    int i, j, k;
 @body@
-    for (i = 0; i < @m@; i++) {
-        for (j = 0; j < NT; j++) {
-            with_state[i * NT + j] = 0;
-            for (k = 0; k < NT; k++) {
-                with_state[i * NT + j] += slope[i * NT + k] * P[k][j];
+    through(@m@, NT, slope, &P[0][0], with_state, own);
+}
+"""
+
+THROUGH = """
+/* covariances of a value with the state and with itself, by its slope and by what that misses, in `own` */
+static void through(int m, int n, const real *slope, const real *P, real *with_state, real *own)
+{
+    int i, j, k;
+    for (i = 0; i < m; i++) {
+        for (j = 0; j < n; j++) {
+            real sum = 0;
+            for (k = 0; k < n; k++) {
+                sum += slope[i * n + k] * P[k * n + j];
+            }
+            for (k = 0; k <= i; k++) {
+                own[i * m + k] += sum * slope[k * n + j];
+            }
+            if (j < NT) {
+                with_state[i * NT + j] = sum;
             }
         }
-        for (j = 0; j <= i; j++) {
-            for (k = 0; k < NT; k++) {
-                own[i * @m@ + j] += with_state[i * NT + k] * slope[j * NT + k];
-            }
-            own[j * @m@ + i] = own[i * @m@ + j];
+        for (k = 0; k < i; k++) {
+            own[k * m + i] = own[i * m + k];
         }
     }
 }
@@ -257,7 +270,7 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     room = np.zeros((max(nw, 1), max(nw, 1)))  # C has no empty tables
     room[:nw, :nw] = S
     tables = {"W": estimator.W.ravel(), "V": estimator.V.ravel(), "c": estimator.c, "x0": start.mean[0], "P0": P0}
-    one = {"sqrt": "sqrtf" if scalar == "float" else "sqrt", "parts": step.substeps}
+    one = {name: f"{name}f" if scalar == "float" else name for name in ("sqrt", "hypot")} | {"parts": step.substeps}
     each = {
         "advance": ("NT", "NZ", z, step.function(x, u, w, none), SAMPLE, step.substep(x, u, w, none)),
         "observe": ("NY", "NT", x, plant.outputs, OUTPUT, plant.outputs),
@@ -273,11 +286,11 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
             results = {"mean": ca.substitute(whole, w, ca.DM(mean)), "slope": H.T, "own": own}
             text, body = LINEAR, _body([x, u], results, ["x[{}]", "u[{}]"], scalar)
         found[f] = fill(text, one | {"f": f, "m": m, "n": n, "body": body})
-    rounding = max(ROUNDED_SUM, 4 * float(np.finfo(np.float32 if scalar == "float" else float).eps))
+    eps = float(np.finfo(np.float32 if scalar == "float" else float).eps)
     held = {"some": len(room), "mean": table(np.append(mean, room[0, nw:]), scalar), "S": table(room, scalar)}
-    needed = HELD + ROOT if "root_of" in "".join(found.values()) else ""
-    smooth = real(ROUNDED_SUM**0.5, scalar)
-    tools = fill(needed, one | held | {"rounding": real(rounding, scalar), "smooth": smooth})
+    needed = THROUGH + (HELD + ROOT) * ("root_of" in "".join(found.values()))
+    small = {"negligible": real(eps ** (2 / 3), scalar), "small": real(eps ** (1 / 3), scalar)}
+    tools = fill(needed, one | held | small)
     texts = {name: table(values, scalar) for name, values in tables.items()}
     return texts | found | {"ny": plant.ny, "nw": nw, "tools": tools}
 

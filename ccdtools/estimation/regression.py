@@ -11,20 +11,27 @@ from functools import cache
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from ccdtools_ground.operations import bent_rows
-from mpc.tolerances import ROUNDED_SUM
 
 Regressed = tuple[Any, Any, Any]  # mean (m,), slope (m, n), covariance (m, m) that the slope misses
 
 
+NEGLIGIBLE, SMALL = (float(np.finfo(float).eps) ** power for power in (2 / 3, 1 / 3))
+
+
 @cache
 def root(n: int) -> ca.Function:
-    """Function P (n, n) → lower L, L Lᵀ = P, with columns of zeros along what is known."""
+    """Function P (n, n) → lower L, L Lᵀ = P to all that counts, smooth also where a part of the state is known.
+
+    A column is 0 where its variance is.
+    """
     P, L = ca.SX.sym("P", n, n), ca.SX.zeros(n, n)
     for j in range(n):
         column = P[j:, j] - L[j:, :j] @ L[j, :j].T
-        unknown = column[0] > ROUNDED_SUM * P[j, j]
+        column[0] = (column[0] + ca.hypot(column[0], 2 * NEGLIGIBLE * P[j, j])) / 2
+        unknown = P[j, j] > 0
         L[j:, j] = ca.if_else(unknown, column / ca.sqrt(ca.if_else(unknown, column[0], 1.0)), 0.0)
     return ca.Function("root", [P], [L])
 
@@ -35,7 +42,7 @@ def _counted(L: ca.SX) -> tuple[ca.SX, ca.SX]:
     What is known does not count, and what is all but known in every state counts smoothly, as a likelihood has to be.
     """
     size = ca.sum2(L**2)
-    part = ca.fmin((1 / ca.if_else(size > 0, size, 1.0)).T @ L**2 / ROUNDED_SUM**0.5, 1.0)
+    part = ca.fmin((1 / ca.if_else(size > 0, size, 1.0)).T @ L**2 / SMALL, 1.0)
     weight = part * ca.sqrt(3 - 2 * part)
     return weight, ca.fmax(ca.sum2(weight**2), 1)
 

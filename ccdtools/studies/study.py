@@ -274,9 +274,10 @@ class Study(Immutable):
 
     @property
     def real_is_model(self) -> bool:
-        """Whether the real plant is the model itself."""
-        real = self.real.plant
-        return (real.plant if isinstance(real, SampledModel) else real) in (self.plant, self.plant.for_many_runs)
+        """Whether the real plant, whenever it is met, is the model itself."""
+        met = (one.plant for one in (self.real, *self.real.later))
+        own = (self.plant, self.plant.for_many_runs)
+        return all((real.plant if isinstance(real, SampledModel) else real) in own for real in met)
 
     @property
     def price(self) -> RedesignPrice:

@@ -33,7 +33,8 @@ def violation(
     """Violation of limits by a candidate. None if kept, no worse than before, or unchecked.
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
-    more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told.
+    more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told. The
+    limits of states and of outputs count together and each alone.
 
     Parameters
     ----------
@@ -49,28 +50,30 @@ def violation(
     asked = problem.limit_tolerance
     if asked == "off":
         return None
-    (whole, (own, *_)), (_, (other, *_)) = (
+    (_, own), (_, other) = (
         Excursions.from_trajectory(run, problem.state_limits(run.design), plant, problem.output_limits)
         for run in (after, before)
     )
-    if max(_pair(own).values()) <= LEAST_TOLERANCE and isinstance(asked, str):
-        return None
-    suspect = [name for name in MEASURES if _further(own, other, name)]
-    if not suspect:
-        return None
     by_mpc = isinstance(asked, str)
-    runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
-    allowed = _by_mpc(problem, scenario.first(runs), after.design) if isinstance(asked, str) else Pair(*asked)
-    achieved = _pair(own, runs)
-    broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), allowed.values())}
-    if not any(broken[name] for name in suspect):
+    if by_mpc and max(_pair(own[0]).values()) <= LEAST_TOLERANCE:
         return None
-    return Violation(achieved.values(), _pair(other, runs).values(), allowed.values(), whole.exceeded, by_mpc)
+    suspects = [[name for name in MEASURES if _further(*pieces, name)] for pieces in zip(own, other)]
+    if not any(suspects):
+        return None
+    runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
+    tolerances = _by_mpc(problem, scenario.first(runs), after.design) if by_mpc else (Pair(*asked),)
+    for kind in reversed(range(len(own))):
+        achieved, allowed = _pair(own[kind], runs), tolerances[min(kind, len(tolerances) - 1)]
+        broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), allowed.values())}
+        if any(broken[name] for name in suspects[kind]):
+            formerly = _pair(other[kind], runs)
+            return Violation(achieved.values(), formerly.values(), allowed.values(), own[kind].exceeded, by_mpc)
+    return None
 
 
-def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> Pair:
-    """Tolerance of 1.25 times what MPC does; the least if it loses all runs."""
-    least = Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
+def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> tuple[Pair, ...]:
+    """Tolerances by MPC: of all limits, and of each kind."""
+    least = (Pair(LEAST_TOLERANCE, LEAST_TOLERANCE),)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
     except InputError:
@@ -80,8 +83,8 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> Pair
     if run.diverged.all():
         return least
     X = problem.state_limits(design)
-    done = _pair(Excursions.from_trajectory(run, X, None, problem.output_limits)[1][0])
-    return Pair(*(max(LEAST_TOLERANCE, BESIDE_MPC * value) for value in done.values()))
+    done = (_pair(one).values() for one in Excursions.from_trajectory(run, X, None, problem.output_limits)[1])
+    return tuple(Pair(*(max(LEAST_TOLERANCE, BESIDE_MPC * value) for value in pair)) for pair in done)
 
 
 def _pair(outside: Excursions, runs: int | None = None) -> Pair:

@@ -120,3 +120,56 @@ def test_limits_that_move_with_the_design_are_shown_of_each():
     ]  # fmt: skip
     with pytest.raises(InputError, match=r"design: got nothing, expected the design whose limits U\(p\) count"):
         found(U=U)
+
+
+def test_one_run_beside_many_tells_nothing_of_limits():
+    laws = {"LQR": LinearFeedback([[0.6]], -0.2, 0.2), "gain": LinearFeedback([[0.6]])}
+    limits = {"X": ([-50.0], [50.0]), "U": ([-0.2], [0.2])}
+    rng = np.random.default_rng(5)
+    scenario = replace(drawn(rng), x0=np.zeros((40, 1)), disturbance=rng.standard_normal((40, 400, 1)))
+    for few, further in (({}, ("LQR",)), ({"gain": 1}, ())):
+        scores = compare(laws, scenario, objective=OBJECTIVE, few=few, **limits)
+        assert scores["gain"].further_outside_than == further
+
+
+def test_the_row_that_is_named_was_left_by_a_run_that_did_not_diverge():
+    two = plant_from_matrices(np.diag([A, 3.0]), [[1.0], [0.0]], [[1.0], [0.0]], dt=1.0, continuous=False)
+
+    def starts(rng):
+        one = drawn(rng)
+        return replace(one, plant=two, x0=np.c_[one.x0, np.arange(len(one.x0)) == 0])
+
+    laws = {"LQR": LinearFeedback([[0.6, 0.0]]), "gain": LinearFeedback([[0.1, 0.0]])}
+    options = {"objective": QuadraticObjective(Q=np.eye(2), R=[[0.5]]), "X": ([-0.3, -50.0], [0.3, 50.0])}
+    result = found({n: lambda d, rng, law=law: law for n, law in laws.items()}, starts, **options)["gain"]
+    assert result.evidence.lost == (4, 4)
+    assert "x1" in result.evidence.violation.exceeded
+
+
+@pytest.mark.parametrize("seeds", [1, 10])
+def test_a_law_that_saves_a_run_by_more_than_U_is_judged_on_the_runs_that_the_baseline_saves_too(seeds):
+    x, u, w = (ca.SX.sym(name) for name in "xuw")
+    after = ca.if_else(ca.fabs(x) > 3, 1e9, A * x + u + w)
+    plant = Plant(x, u, w, None, [after], DesignSpace([], [], []), 1.0, continuous=False)
+
+    def kicked(rng):
+        w = np.clip(0.2 * rng.standard_normal((7, 15, 1)), -0.4, 0.4)
+        w[0, 0] = 1.5 + 0.05 * rng.random()
+        start = np.where(np.arange(7) == 0, 2.9, 0.5)[:, None]
+        return replace(drawn(rng), plant=plant, x0=start, disturbance=w)
+
+    laws = {"LQR": LinearFeedback([[0.2]], -0.8, 0.8), "gain": LinearFeedback([[0.6]])}
+    options = {"U": ([-0.8], [0.8]), "seeds": seeds}
+    result = found({n: lambda d, rng, law=law: law for n, law in laws.items()}, kicked, **options)["gain"]
+    assert result.evidence.lost == (0, seeds)
+    assert result.evidence.violation is None
+
+
+def test_the_row_that_is_named_is_that_of_the_seed_that_leaves_it_deepest():
+    """Of one seed in ten the inputs are beyond the other limit, by ten times as much."""
+    laws = {"LQR": lambda d, rng: LinearFeedback([[0.6]], -0.2, 0.2)}
+    for first in (0, 6):
+        seeds = [first, *(seed for seed in range(10) if seed != first)]
+        laws["gain"] = lambda d, rng: LinearFeedback([[0.6]], -0.3, 0.2 if rng.random() < 0.9 else 1.2)
+        result = found(laws, U=([-0.2], [0.2]), seeds=seeds)["gain"]
+        assert result.evidence.violation.exceeded == "u1 > 0.2"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import CVaR, MeanSpread, QuadraticObjective
+from ccdtools import CVaR, MeanSpread, OutputLimits, QuadraticObjective
 from ccdtools.evidence.verdict import Status
 from ccdtools.scenario import Scenario
 from ccdtools.studies import configuration
@@ -133,6 +133,20 @@ def test_of_one_long_run_the_peaks_of_its_stretches_are_compared(illustrative):
     assert violation(problem, None, left, plain, None) is None
     found = violation(replace(problem, limit_tolerance=(1.0, 0.05)), None, left, plain, None)
     assert found.achieved[1] == pytest.approx(0.1 * limit / half, rel=0.1)
+
+
+def test_what_is_deployed_and_leaves_X_does_not_hide_that_a_redesign_leaves_limits_of_outputs(illustrative):
+    limits = OutputLimits(lambda x, u, p: u, -1.0, 1.0)
+    problem = replace(illustrative.problem(), limit_tolerance=(0.0, 0.0), output_limits=limits)
+    before = run_of(np.full(RUNS, 0.1), design=[2.0], outside=2.0 * half_width(problem.X)[0])
+    inputs = before.inputs.copy()
+    inputs[:, 1::10] = 1.2  # less beyond these limits, in half-widths, than before beyond X, and in the same samples
+    after = replace(before, inputs=inputs, design=np.array([2.2]))
+    found = violation(problem, None, after, before, None)
+    assert found.exceeded == "y1 > 1"
+    assert found.achieved == pytest.approx((0.1, 0.2))
+    assert found.before == (0.0, 0.0)
+    assert violation(problem, None, before, before, None) is None
 
 
 @pytest.mark.parametrize("constant", [0.0, 1e5])
