@@ -58,7 +58,7 @@ class Excursions(Immutable):
     def from_depths(
         cls, by_row: Array, texts: Sequence[str], limits: str = "X", lost: Mask | None = None, single: bool = False
     ) -> Excursions:
-        """Violations of runs from their depths (n, T, m) by row, and the texts of exceeding a row."""
+        """Violations of runs from depths (n, T, m) by row and the texts of rows."""
         if not len(by_row):
             return cls(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
         depth = np.maximum(by_row.max(axis=-1), 0.0)

@@ -23,9 +23,9 @@ NEGLIGIBLE, SMALL = (float(np.finfo(float).eps) ** power for power in (2 / 3, 1 
 
 @cache
 def root(n: int) -> ca.Function:
-    """Function P (n, n) → lower L, L Lᵀ = P to all that counts, smooth also where a part of the state is known.
+    """Function P (n, n) → lower L, L Lᵀ = P to all that counts.
 
-    A column is 0 where its variance is.
+    It is smooth where a part of the state follows from others, too. A column is 0 where its variance is.
     """
     P, L = ca.SX.sym("P", n, n), ca.SX.zeros(n, n)
     for j in range(n):
