@@ -16,6 +16,7 @@ from ccdtools.co_design.codesign import as_method, codesign
 from ccdtools.co_design.output_filter import estimator_at
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.controllers.observed import Observed
+from ccdtools.evidence.evidence import Violation
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.scenario import Scenario
@@ -63,6 +64,8 @@ class FittedGeneration:
     update : PairedDifference or None
         Measured gain at the former design of LQR by the logs, or of the former law behind the filter of the plant that
         they tell where the problem has sensors; where that is what is deployed.
+    violation : Violation or None
+        Limits that a redesign left further on the real plant than the tolerance, and than what was in service.
     agent : ActorCritic or None
         Networks of a learned policy.
     """
@@ -75,6 +78,7 @@ class FittedGeneration:
     gain: PairedDifference | None = None
     accepted: bool = True
     update: PairedDifference | None = None
+    violation: Violation | None = None
     agent: Any = None
 
     @property
@@ -92,8 +96,9 @@ class FittedGeneration:
         update = "LQR by the logs measured" if self.log.outputs is None else "filter of the fit measured"
         words = {"predicted": self.predicted, "measured": self.gain, update: self.update}
         gains = [f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for name, one in words.items() if one]
+        broken = [str(self.violation)] if self.violation else []
         told = [self.fit.advice] if isinstance(self.fit, PlantFit) and _doubtful(self.fit) else []
-        return ". ".join([", ".join([said, *gains]), *told, *lost])
+        return ". ".join([", ".join([said, *gains, *broken]), *told, *lost])
 
 
 def fitted_generations(
@@ -106,11 +111,11 @@ def fitted_generations(
     Each is deployed, and its outputs logged, or its states where the problem has no sensors. The plant that all logs
     tell (`fit_plant`), or where nothing unknown is stated and all states are seen what the last log tells by least
     squares (`identified_change`), is designed for again, a learned policy from the one in service on. The redesign is
-    tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it is worse
-    there beyond chance, or loses more runs: than what was deployed before, and than an update of it. Where states are
-    logged that is LQR of the affine model that they tell at the former design (`identified_lqr`), where outputs are the
-    former law behind the filter of the plant that they tell, if it is better there beyond chance and breaks no limit. A
-    redesign for a fit that is LASTING or OPEN must be so, too.
+    tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service if it breaks no
+    limit there and is no worse beyond chance, nor loses more runs: than what was deployed before, and than an update of
+    it. Where states are logged that is LQR of the affine model that they tell at the former design (`identified_lqr`),
+    where outputs are the former law behind the filter of the plant that they tell, if it is better there beyond chance
+    and breaks no limit. A redesign for a fit that is LASTING or OPEN must be better so, too.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
@@ -175,7 +180,7 @@ def fitted_generations(
         else:
             fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
         again: Any = None
-        predicted = gain = update = updated = None
+        predicted = gain = update = updated = broken = None
         if not isinstance(fit, PlantFit) or fit.status is not FitStatus.UNSOLVED:
             updated = fit.likeliest(problem) if isinstance(fit, PlantFit) else fit.updated(problem)
             going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
@@ -185,8 +190,8 @@ def fitted_generations(
         told = _by_logs(problem, found, updated)
         deployed: Any = before
         if told is not None or again is not None:
-            deployed, gain, update = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
-        found.append(logged(deployed, fit, predicted, gain, deployed is again, update))
+            deployed, gain, update, broken = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
+        found.append(logged(deployed, fit, predicted, gain, deployed is again, update, broken))
     return tuple(found)
 
 
@@ -215,26 +220,29 @@ class _Deployments:
 
     def trial(
         self, before: Any, told: Any, again: Any, seed: int, doubtful: bool
-    ) -> tuple[Any, PairedDifference | None, PairedDifference | None]:
-        """What is deployed next, and the gains of a redesign that was tried and of an update that is deployed."""
+    ) -> tuple[Any, PairedDifference | None, PairedDifference | None, Violation | None]:
+        """What is deployed; gain and violation of a redesign that was tried, gain of an update that is deployed."""
         scenario = self.scenario(max(REAL_RUNS * self.problem.steps // self.real.steps, 2), seed)
-        deployed, gain, update = before, None, None
+        deployed, gain, update, broken = before, None, None, None
         old = best = self.run(before, scenario)
 
         def better(run: Trajectory, beyond_chance: bool) -> bool:
             """Whether a run goes before the best so far."""
             low, high = self.gain(run, best).ci95
-            kept = not beyond_chance or violation(self.problem, scenario, run, old, self.problem.model) is None
-            return (low > 0 if beyond_chance else not high < 0) and run.diverged.sum() <= best.diverged.sum() and kept
+            return (low > 0 if beyond_chance else not high < 0) and run.diverged.sum() <= best.diverged.sum()
 
-        if told is not None and better(run := self.run(told, scenario), beyond_chance=True):
+        def left(run: Trajectory) -> Violation | None:
+            """Limits that a run leaves further than what is in service."""
+            return violation(self.problem, scenario, run, old, self.problem.model)
+
+        if told is not None and better(run := self.run(told, scenario), beyond_chance=True) and not left(run):
             deployed, best, update = told, run, self.gain(run, old)
         if again is not None:
             run = self.run(again, scenario)
-            gain = self.gain(run, old)
-            if better(run, beyond_chance=doubtful):
+            gain, broken = self.gain(run, old), left(run)
+            if better(run, beyond_chance=doubtful) and not broken:
                 deployed, update = again, None
-        return deployed, gain, update
+        return deployed, gain, update, broken
 
 
 def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:

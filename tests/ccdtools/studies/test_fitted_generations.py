@@ -17,6 +17,7 @@ from ccdtools import (
     Learned,
     Measurement,
     Nested,
+    OutputLimits,
     Plant,
     QuadraticObjective,
     RealPlant,
@@ -103,6 +104,17 @@ def gauged(gauge=1.0, names=()):
     space = DesignSpace(["k", *names], [0.5] + [0.3] * len(names), [4.0] + [2.0] * len(names))
     shown = p[1] * p[2] if names else gauge
     return Plant(x, u, w, p, [x[1], -p[0] * x[0] - 0.3 * x[1] + u + w], space, dt=0.33, outputs=[shown * x[0]])
+
+
+def test_a_redesign_that_leaves_limits_further_on_the_real_plant_is_taken_back_and_says_which():
+    """For a weaker actuator more is asked of it, beyond 0.9 N in 3 in place of 2 of 100 samples."""
+    tight = {"output_limits": OutputLimits(lambda x, u, p: u, -0.9, 0.9), "limit_tolerance": (0.0, 0.0)}
+    _, second = run(stated(**tight), 0.5, seed=2)
+    assert second.gain.ci95[0] > 0
+    assert not second.accepted
+    assert "y1" in second.violation.exceeded
+    assert "taken back" in str(second)
+    assert str(second.violation) in str(second)
 
 
 @pytest.mark.check
