@@ -51,7 +51,7 @@ def test_stretches_of_one_run_are_one_correlated_series():
         steps = np.random.default_rng(seed).standard_normal((2, 60))
         one, other = (np.abs(0.3 * signal.lfilter([1], [1, -0.9], s)) for s in steps)
         for stretches in told:
-            told[stretches] += further_outside(peaks(one, single=stretches), peaks(other))
+            told[stretches] += further_outside(peaks(one, single=stretches), peaks(other, single=stretches))
     assert told[True] <= 8 < 15 <= told[False]
     noise = np.random.default_rng(0).uniform(0, 0.2, 60)
-    assert further_outside(peaks(noise + 0.3, single=True), peaks(noise[::-1]))
+    assert further_outside(peaks(noise + 0.3, single=True), peaks(noise[::-1], single=True))
