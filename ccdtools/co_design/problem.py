@@ -14,7 +14,7 @@ from ccdtools.co_design.idle_entries import acting_together, check_every_entry_a
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
-from ccdtools.disturbances.disturbance import NO_DISTURBANCE, Disturbance
+from ccdtools.disturbances.disturbance import NO_DISTURBANCE, Disturbance, drawn_moments
 from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
@@ -300,10 +300,9 @@ class CoDesignProblem(Immutable):
     @cached_property
     def moments(self) -> tuple[Array, Array, Array]:
         """Mean (nx,) and covariance (nx, nx) of starts, second moments (nw, nw) of w about its stated mean."""
-        x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
-        mean = x0.mean(axis=0)
-        away, w = x0 - mean, w - self.mean_disturbance
-        return mean, away.T @ away / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
+        mean, covariance, drift, noise = drawn_moments(self.scenarios, self.steps)
+        unstated = drift - self.mean_disturbance
+        return mean, covariance, noise + np.outer(unstated, unstated)
 
     @property
     def mean_disturbance(self) -> Array:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from functools import lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -120,3 +121,19 @@ def check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
     as_count("runs", runs)
     as_count("steps", steps)
     as_generator("rng", rng)
+
+
+def drawn_moments(scenarios: Any, steps: int) -> tuple[Array, Array, Array, Array]:
+    """Means and covariances of the starts (nx,), (nx, nx) and of w (nw,), (nw, nw), by a sample.
+
+    Those of the scenarios of this library are kept, as these do not change.
+    """
+    return (_kept_moments if isinstance(scenarios, Immutable) else _kept_moments.__wrapped__)(scenarios, steps)
+
+
+@lru_cache
+def _kept_moments(scenarios: Any, steps: int) -> tuple[Array, Array, Array, Array]:
+    x0, w = scenarios.sample(4096, steps, np.random.default_rng(0))
+    mean, drift = x0.mean(axis=0), w.mean(axis=(0, 1))
+    away, w = x0 - mean, (w - drift).reshape(-1, w.shape[-1])
+    return mean, away.T @ away / len(x0), drift, w.T @ w / len(w)

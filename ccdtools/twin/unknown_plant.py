@@ -13,7 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.disturbances.combinations import Stacked, Sum
-from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.disturbances.disturbance import Gaussian, drawn_moments
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.discretisation import discretise
@@ -96,7 +96,7 @@ def mean_disturbance(problem: CoDesignProblem) -> Array:
     known = getattr(getattr(problem.scenarios, "disturbance", None), "mean", None)
     if isinstance(known, np.ndarray):
         return known
-    return np.asarray(problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1)))
+    return drawn_moments(problem.scenarios, problem.steps)[2]
 
 
 def disturbed(problem: CoDesignProblem, changed: Callable[[Any], Any]) -> Any:
