@@ -244,6 +244,23 @@ def test_a_state_before_does_not_hide_the_rate_that_led_from_it(beside, units):
     np.testing.assert_allclose(found.innovations, [[[-1.0]]], rtol=1e-5)  # the variance of the rate
 
 
+@pytest.mark.parametrize("beyond", [1e-16, 1e-9, 5e-3])
+def test_a_covariance_that_rounding_has_made_indefinite_is_no_end(beyond):
+    """After precise sensors differences of large numbers are left, as in a car that drives on an aggressive road."""
+    x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
+    after = [x[0] + 0.1 * ca.tanh(5 * x[1]), ca.sin(x[0]) + u + w]
+    plant = cc.Plant(x, u, w, None, after, cc.DesignSpace([], [], []), 1.0, continuous=False, outputs=[ca.sin(x[0])])
+    some = CubatureKalmanFilter(plant, W=np.zeros(2), V=[0.01], P0=np.ones(2), disturbance=([0.0], [0.01]))
+    zero, start = np.zeros((1, 1)), replace(some.start(1), mean=np.array([[0.3, 0.1]]))
+    singular, other = (
+        replace(start, covariance=np.array([[[1.0, 1.0 + more], [1.0 + more, 1.0]]])) for more in (0.0, beyond)
+    )
+    for found, near in ((one(singular), one(other)) for one in
+                        (lambda b: some.predict(b, zero), lambda b: some.update(b, zero, zero))):  # fmt: skip
+        np.testing.assert_allclose(near.mean, found.mean, atol=10 * beyond + 1e-12)
+        np.testing.assert_allclose(near.covariance, found.covariance, atol=10 * beyond + 1e-12)
+
+
 @pytest.mark.parametrize("hidden", [0.0, 0.1, 0.7, 0.999, 1.0])
 def test_a_rate_that_all_but_follows_from_two_positions_moves_the_likelihood_smoothly(hidden):
     """`hidden` is how much of the rate their difference says, `beside` how large it is beside the positions."""
