@@ -117,19 +117,17 @@ static real root_of(int n, const real *P, real *root, real *share)
     real count = 0;
     int i, j, k;
     for (j = 0; j < n; j++) {
-        const real least = @negligible@ * P[j * n + j];
-        real scale = 0;
+        real pivot = 0;
         for (i = 0; i < n; i++) {
             real sum = i < j ? 0 : P[i * n + j];
             for (k = 0; i >= j && k < j; k++) {
                 sum -= root[i * n + k] * root[j * n + k];
             }
-            root[i * n + j] = scale * sum;
-            if (i == j && least > 0) { /* what does not follow from the states before, and a little */
-                const real rest = sum > 0 ? sum : 0;
-                root[j * n + j] = @sqrt@((rest + @hypot@(rest, 2 * least)) / 2);
-                scale = least / (least + (rest - sum)) / root[j * n + j];
+            if (i == j && P[j * n + j] > 0) {
+                sum = @hypot@(sum, @negligible@ * P[j * n + j]);
+                pivot = @sqrt@(sum);
             }
+            root[i * n + j] = pivot > 0 ? sum / pivot : 0;
         }
         share[j] = 0;
         for (i = j; i < n; i++) { /* of the variance of each state */

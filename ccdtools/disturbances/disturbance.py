@@ -126,14 +126,24 @@ def check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
 def drawn_moments(scenarios: Any, steps: int) -> tuple[Array, Array, Array, Array]:
     """Means and covariances of the starts (nx,), (nx, nx) and of w (nw,), (nw, nw), by a sample.
 
-    Those of the scenarios of this library are kept, as these do not change.
+    Those of scenarios that consist of objects of this library are kept, as these do not change.
     """
-    return (_kept_moments if isinstance(scenarios, Immutable) else _kept_moments.__wrapped__)(scenarios, steps)
+    return (_kept_moments if _lasting(scenarios) else _kept_moments.__wrapped__)(scenarios, steps)
+
+
+def _lasting(one: Any) -> bool:
+    """Whether nothing of what is drawn can change."""
+    if isinstance(one, tuple | Immutable):
+        return all(map(_lasting, one if isinstance(one, tuple) else vars(one).values()))
+    return not hasattr(one, "sample")
 
 
 @lru_cache
 def _kept_moments(scenarios: Any, steps: int) -> tuple[Array, Array, Array, Array]:
     x0, w = scenarios.sample(4096, steps, np.random.default_rng(0))
     mean, drift = x0.mean(axis=0), w.mean(axis=(0, 1))
-    away, w = x0 - mean, (w - drift).reshape(-1, w.shape[-1])
-    return mean, away.T @ away / len(x0), drift, w.T @ w / len(w)
+    away, w = x0 - mean, np.vstack(w - drift)
+    found = (mean, away.T @ away / len(x0), drift, w.T @ w / len(w))
+    for part in found:
+        part.flags.writeable = False
+    return found

@@ -26,17 +26,14 @@ def root(n: int) -> ca.Function:
     """Function P (n, n) → lower L, L Lᵀ = P to all that counts.
 
     It is smooth where a part of the state follows from others, too: such a state has an axis of its own, which is all
-    but 0. What rounding leaves below 0 does not reach other states. A column is 0 where its variance is.
+    but 0, also where rounding leaves less than 0. A column is 0 where its variance is.
     """
     P, L = ca.SX.sym("P", n, n), ca.SX.zeros(n, n)
     for j in range(n):
         column = P[j:, j] - L[j:, :j] @ L[j, :j].T
-        least = NEGLIGIBLE * ca.if_else(P[j, j] > 0, P[j, j], 1.0)
-        rest, below = ca.fmax(column[0], 0), ca.fmax(-column[0], 0)
-        pivot = (rest + ca.hypot(rest, 2 * least)) / 2
-        column *= least / (least + below)
-        column[0] = pivot
-        L[j:, j] = ca.if_else(P[j, j] > 0, column / ca.sqrt(pivot), 0.0)
+        column[0] = ca.hypot(column[0], NEGLIGIBLE * P[j, j])
+        unknown = P[j, j] > 0
+        L[j:, j] = ca.if_else(unknown, column / ca.sqrt(ca.if_else(unknown, column[0], 1.0)), 0.0)
     return ca.Function("root", [P], [L])
 
 

@@ -94,11 +94,13 @@ class FittedGeneration:
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
         said = f"redesign {place}" if self.predicted else "no redesign"
         update = "LQR by the logs measured" if self.log.outputs is None else "filter of the fit measured"
-        words = {"predicted": self.predicted, "measured": self.gain, update: self.update}
-        gains = [f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for name, one in words.items() if one]
-        broken = [str(self.violation)] if self.violation else []
+        words = {"predicted": self.predicted, "measured": self.gain, "": self.violation, update: self.update}
+        gains = [
+            str(one) if isinstance(one, Violation) else f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]"
+            for name, one in words.items() if one
+        ]  # fmt: skip
         told = [self.fit.advice] if isinstance(self.fit, PlantFit) and _doubtful(self.fit) else []
-        return ". ".join([", ".join([said, *gains, *broken]), *told, *lost])
+        return ". ".join([", ".join([said, *gains]), *told, *lost])
 
 
 def fitted_generations(

@@ -6,6 +6,7 @@ is higher than that of each of its parts.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ def violation(
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
     more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told. The
-    limits of states and of outputs count together and each alone.
+    limits of states and of outputs count together and each alone, on runs that neither loses.
 
     Parameters
     ----------
@@ -50,10 +51,12 @@ def violation(
     asked = problem.limit_tolerance
     if asked == "off":
         return None
+    lost = np.where(after.diverged | before.diverged, 0, -1)  # a run that only the candidate saves is none to compare
     (_, own), (_, other) = (
-        Excursions.from_trajectory(run, problem.state_limits(run.design), plant, problem.output_limits)
-        for run in (after, before)
-    )
+        Excursions.from_trajectory(
+            replace(run, diverged_at=lost), problem.state_limits(run.design), plant, problem.output_limits
+        ) for run in (after, before)
+    )  # fmt: skip
     by_mpc = isinstance(asked, str)
     if by_mpc and max(_pair(own[0]).values()) <= LEAST_TOLERANCE:
         return None
@@ -97,8 +100,7 @@ def _pair(outside: Excursions, runs: int | None = None) -> Pair:
 
 def _further(own: Excursions, other: Excursions, name: str) -> bool:
     """Whether a measure is larger on runs neither lost, beyond chance if known."""
-    kept = ~(np.asarray(own.lost) | np.asarray(other.lost))
-    values, others = (getattr(one, name)[kept] for one in (own, other))
+    values, others = (getattr(one, name)[~np.asarray(one.lost)] for one in (own, other))
     if not len(values) or not values.mean() > others.mean():
         return False
     found = mean_interval(values - others) if own.single else paired_difference(values, others)

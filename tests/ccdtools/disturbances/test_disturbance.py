@@ -1,9 +1,21 @@
 """Random and recorded disturbances."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import Gaussian, InputError, Recorded
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Measurement,
+    Plant,
+    QuadraticObjective,
+    Recorded,
+    discretise,
+)
 from ccdtools.disturbances import Sum, Uniform
 
 
@@ -68,3 +80,31 @@ def test_the_generator_decides(disturbance):
 def test_bad_disturbances_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_moments_of_starts_follow_a_disturbance_that_changes_and_know_none():
+    class Mine:
+        std = 1e-3
+
+        def sample(self, runs, steps, rng):
+            return self.std * rng.standard_normal((runs, steps, 1))
+
+    x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
+    rates = [x[1], -x[0] - 0.3 * x[1] + u]
+    sensors = {"measurement": Measurement([[1.0, 0.0]], noise=[0.1]), "X": (-4, 4), "U": (-3, 3), "steps": 50}
+
+    def stated(scenarios, *driven):
+        plant = Plant(
+            x, u, w if driven else None, None, [rates[0], rates[1] + sum(driven)], DesignSpace([], [], []), dt=0.33
+        )
+        return CoDesignProblem(
+            discretise(plant), objective=QuadraticObjective(np.eye(2), [[0.1]]), scenarios=scenarios, **sensors
+        )
+
+    mine = FixedStart([1.0, 0.0], Mine())
+    before = stated(mine, w).moments[2]
+    mine.disturbance.std = 1.0
+    assert stated(mine, w).moments[2] == pytest.approx(1e6 * before)
+    kept = FixedStart([1.0, 0.0], Gaussian([0.3]))
+    assert stated(kept, w).moments[2] == stated(kept, w).moments[2] == pytest.approx(0.09, rel=0.02)
+    assert stated(FixedStart([1.0, 0.0])).moments[2].shape == (0, 0)

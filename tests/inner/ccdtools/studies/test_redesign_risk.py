@@ -149,6 +149,19 @@ def test_what_is_deployed_and_leaves_X_does_not_hide_that_a_redesign_leaves_limi
     assert violation(problem, None, before, before, None) is None
 
 
+def test_a_run_that_the_redesign_alone_saves_is_none_to_compare(illustrative):
+    problem = replace(illustrative.problem(), limit_tolerance=(0.0, 0.0))
+    limit, _ = half_width(problem.X)
+    before = replace(run_of(np.full(RUNS, 0.1), design=[2.0]), diverged_at=np.where(np.arange(RUNS) == 0, 3, -1))
+    states = before.states.copy()
+    states[0, 1::2, 1] = 3 * limit
+    after = replace(before, states=states, diverged_at=np.full(RUNS, -1))
+    assert violation(problem, None, after, before, None) is None
+    states = states.copy()
+    states[1:, 5::10, 1] = 1.2 * limit
+    assert violation(problem, None, replace(after, states=states), before, None).achieved[0] == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("constant", [0.0, 1e5])
 def test_a_price_in_per_cent_is_of_what_control_makes_whatever_the_design_costs(monkeypatch, illustrative, constant):
     objective = QuadraticObjective(np.diag([1.0, 0.0]), np.zeros((1, 1)) + 1e-9, design_cost=lambda p: constant)
