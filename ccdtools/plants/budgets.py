@@ -15,7 +15,6 @@ NEWTON_ITERATIONS = 50  # Newton's method has at most so many iterations.
 ERROR_POINTS = 1024  # A round of the search for the largest error has so many points over limits and designs.
 RUNS_AT_ONCE = 2048  # The numbers of so many runs fit into the processor's cache.
 FEW_ROWS = 192  # Up to so many rows CasADi's machine is the faster one; they are even at 200 to 300.
-COMPILED_ROWS = 500  # Up to so many rows compiled loops are faster than arrays.
 COMPILED_FROM = 3_000_000  # From so many samples of runs on, a step earns the seconds that compiling it takes.
 KEPT_SIZES = 16  # A function is held ready for so many numbers of rows.
 EVENT_ROUNDS = 100  # An FMU may update its discrete states so many times before its first step.

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import torch
+from numba.core.event import install_recorder
 from torch.utils.checkpoint import checkpoint
 
 from ccdtools import DesignSpace, InputError, Plant
@@ -123,3 +124,24 @@ def test_a_step_that_torch_computes_again_has_the_slopes_of_one_that_is_kept(n, 
     kept = torch.autograd.grad(squares(p), p)[0]
     again = torch.autograd.grad(checkpoint(squares, p, use_reentrant=False), p)[0]
     torch.testing.assert_close(again, kept, rtol=0, atol=0)
+
+
+def test_plants_that_differ_by_constants_are_compiled_once_and_step_by_their_own(rng):
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    space = DesignSpace(["p"], lower=[1.0], upper=[2.0])
+
+    def oscillator(stiffness):
+        rates = ca.vertcat(x[1], u - stiffness * ca.tanh(x[0]) - p * x[1] ** 3)
+        return Plant(x, u, ca.SX(0, 1), p, rates, space, dt=0.05, compiled=True)
+
+    states, inputs, none = rng.uniform(-1.0, 1.0, (100, 2)), rng.uniform(-1.0, 1.0, (100, 1)), np.zeros((100, 0))
+    design = np.array([1.5])
+    with install_recorder("numba:compile") as compilations:
+        for stiffness in (3.7, 4.1, 5.3):
+            plant = oscillator(stiffness)
+            after = plant.stepper(design, batch=100)(states, inputs, none)
+            plain = replace(plant, compiled=False).stepper(design, batch=100)(states, inputs, none)
+            np.testing.assert_allclose(after, plain, rtol=1e-13, atol=1e-13)
+            states.setflags(write=False)  # a state that cannot be written is no other kind, either
+    begun = [event.data["dispatcher"].py_func.__name__ for _, event in compilations.buffer if event.is_start]
+    assert begun.count("path") == 1
