@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, Mask
+from ccdtools.arrays import Array, Immutable, Indices, Mask
 from ccdtools.budgets import STRETCHES
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, scaled_rows
@@ -31,8 +31,9 @@ class Excursions(Immutable):
         Depth, averaged over the states of each run; 0 inside.
     peak : (n,) array
         Largest depth of each run.
-    exceeded : str
-        The row that is exceeded most by runs that did not diverge; empty where their states lie in X.
+    rows : (n,) int array
+        The row that each run exceeds most, of `texts`.
+    texts : sequence of str
     limits : str
         What was left: "X", or "the limits" where those of inputs or outputs count, too.
     lost : (n,) bool array, optional
@@ -44,7 +45,8 @@ class Excursions(Immutable):
     fraction: Array
     mean: Array
     peak: Array
-    exceeded: str = ""
+    rows: Indices | None = None
+    texts: Sequence[str] = ()
     limits: str = "X"
     lost: Mask | None = None
     single: bool = False
@@ -54,6 +56,11 @@ class Excursions(Immutable):
         lost = np.zeros(len(self.peak), dtype=bool) if self.lost is None else self.lost
         self._set(lost=lost)
 
+    @property
+    def exceeded(self) -> str:
+        """The row that is exceeded most by runs that did not diverge; empty where their states lie in X."""
+        return deepest_row(self.peak, self.rows, self.lost, self.texts)
+
     @classmethod
     def from_depths(
         cls, by_row: Array, texts: Sequence[str], limits: str = "X", lost: Mask | None = None, single: bool = False
@@ -62,10 +69,8 @@ class Excursions(Immutable):
         if not len(by_row):
             return cls(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
         depth = np.maximum(by_row.max(axis=-1), 0.0)
-        kept = by_row if lost is None else by_row[~lost]
-        largest = kept.reshape(-1, by_row.shape[-1]).max(axis=0, initial=0.0)
-        exceeded = texts[int(np.argmax(largest))] if largest.max() > 0 else ""
-        return cls((depth > 0).mean(axis=1), depth.mean(axis=1), depth.max(axis=1), exceeded, limits, lost, single)
+        peak, rows = depth.max(axis=1), by_row.max(axis=1).argmax(axis=-1)
+        return cls((depth > 0).mean(axis=1), depth.mean(axis=1), peak, rows, texts, limits, lost, single)
 
     @classmethod
     def from_trajectory(
@@ -112,6 +117,12 @@ class Excursions(Immutable):
             f"Excursions({len(self.peak)} runs, {self.fraction.mean():.2%} of the states outside {self.limits}, depth "
             f"{self.mean.mean():.3g} in the mean, peak {self.peak.mean():.3g}, largest {self.peak.max():.3g}{worst})"
         )
+
+
+def deepest_row(peak: Array, rows: Indices | None, lost: Any, texts: Sequence[str]) -> str:
+    """Text of the row of the largest depth of the runs that are not lost; empty if none leaves it."""
+    depth = np.where(lost, 0.0, peak)
+    return texts[rows[int(depth.argmax())]] if rows is not None and depth.max(initial=0.0) > 0 else ""
 
 
 def divergence_limit(X: Polytope) -> Array:

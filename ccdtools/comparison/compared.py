@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.comparison.experiment_record import Cell, Record
 from ccdtools.comparison.seeds import interquartile_mean, mean_over_seeds, share_over_seeds
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Violation
 from ccdtools.evidence.percent import nothing_done, word_of_gain
-from ccdtools.limits import Excursions, further_outside
+from ccdtools.limits import Excursions, deepest_row, further_outside
 from ccdtools.statistics import PairedDifference
 
 STOPPED = "stopped"
@@ -208,8 +208,9 @@ def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
         if further_outside(own, base):
             met = ~np.asarray(own.lost)
             achieved, before = ((float(one.fraction[met].mean()), float(one.peak[met].mean())) for one in (own, base))
-            deepest = max((cell for cell, _ in kept), key=lambda cell: float(np.nan_to_num(_left(cell, kind)[1])))
-            return Violation(achieved, before, before, deepest.exceeded[kind], False)
+            peaks, rows, lost = (np.concatenate(found) for found in zip(*(_rows(cell, kind) for cell, _ in kept)))
+            row = deepest_row(peaks, rows, lost, kept[0][0].texts[kind])
+            return Violation(achieved, before, before, row, False)
     return None
 
 
@@ -217,11 +218,17 @@ def _excursions(cells: Sequence[Cell], kind: int) -> Excursions:
     """Violations of a kind of limits by seed, or by the runs of the only one."""
     if len(cells) == 1:
         (cell,) = cells
-        fraction, peak = cell.fractions[kind], cell.peaks[kind]
-        lost = np.broadcast_to(cell.lost, peak.shape) if cell.single else cell.lost
-        return Excursions(fraction, fraction, peak, cell.exceeded[kind], lost=lost, single=cell.single)
+        fraction = cell.fractions[kind]
+        peak, rows, lost = _rows(cell, kind)
+        return Excursions(fraction, fraction, peak, rows, cell.texts[kind], lost=lost, single=cell.single)
     fraction, peak = np.array([_left(cell, kind) for cell in cells]).T
     return Excursions(np.nan_to_num(fraction), np.nan_to_num(fraction), np.nan_to_num(peak), lost=np.isnan(peak))
+
+
+def _rows(cell: Cell, kind: int) -> tuple[Array, Indices, Mask]:
+    """Peak, row that is exceeded most, and loss of the runs, or of the stretches of the only one."""
+    peak = cell.peaks[kind]
+    return peak, cell.rows[kind], np.broadcast_to(cell.lost, peak.shape)
 
 
 def _left(cell: Cell, kind: int = 0) -> tuple[float, float]:

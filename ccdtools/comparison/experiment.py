@@ -157,7 +157,8 @@ class Plan:
         return Cell(
             *names, returns=np.where(stopped, np.nan, rewards.sum(axis=1)), lost=run.diverged,
             fractions=np.array([one.fraction for one in outside]), peaks=np.array([one.peak for one in outside]),
-            exceeded=[one.exceeded for one in outside], single=single, times=runs.times,
+            rows=np.array([one.rows for one in outside]),
+            texts=[one.texts for one in outside], single=single, times=runs.times,
             series=rewards[0] if single and by_chance and not stopped.any() else np.zeros(0),
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
             metrics={} if self.metrics is None or stopped.all() else metrics_of(self.metrics, run),

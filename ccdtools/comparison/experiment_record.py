@@ -14,8 +14,8 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable, Indices, Mask
 from ccdtools.exceptions import InputError
 
-ARRAYS = ("returns", "lost", "fractions", "peaks", "times", "series")
-WORDS = ("scenario", "plant", "exceeded", "single", "design_cost", "metrics", "stopped", "idle")
+ARRAYS = ("returns", "lost", "fractions", "peaks", "times", "series", "rows")
+WORDS = ("scenario", "plant", "texts", "single", "design_cost", "metrics", "stopped", "idle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,11 @@ class Cell(Immutable):
     returns: Array  # (N,): of the runs; NaN of one that stopped
     lost: Mask  # (N,): diverged, or stopped
     # Part of the states outside and largest depth in half-widths, of the runs or of the stretches of a single one,
-    # (k, n): of all limits, then of each of several kinds; and the limit that is exceeded most.
+    # (k, n): of all limits, then of each of several kinds; and the limit that is exceeded most by each.
     fractions: Array
     peaks: Array
-    exceeded: Sequence[str]
+    rows: Indices
+    texts: Sequence[Sequence[str]]  # of the limits of each kind
     single: bool  # whether there is one run
     times: Array  # (k,): of single calls of the controller [s]
     series: Array  # (T,): rewards of a single run with a disturbance; empty otherwise

@@ -154,15 +154,17 @@ def test_a_law_that_saves_a_run_by_more_than_U_is_judged_on_the_runs_that_the_ba
 
     def kicked(rng):
         w = np.clip(0.2 * rng.standard_normal((7, 15, 1)), -0.4, 0.4)
-        w[0, 0] = 1.5 + 0.05 * rng.random()
-        start = np.where(np.arange(7) == 0, 2.9, 0.5)[:, None]
+        w[0, 0] = -1.5 - 0.05 * rng.random()
+        start = np.where(np.arange(7) == 0, -2.9, 0.5)[:, None]
         return replace(drawn(rng), plant=plant, x0=start, disturbance=w)
 
-    laws = {"LQR": LinearFeedback([[0.2]], -0.8, 0.8), "gain": LinearFeedback([[0.6]])}
-    options = {"U": ([-0.8], [0.8]), "seeds": seeds}
-    result = found({n: lambda d, rng, law=law: law for n, law in laws.items()}, kicked, **options)["gain"]
-    assert result.evidence.lost == (0, seeds)
-    assert result.evidence.violation is None
+    for least, row in ((-0.8, None), (-0.25, "u1 < -0.25")):  # the saved run is beyond the other limit, and deeper
+        laws = {"LQR": LinearFeedback([[0.2]], least, 0.8), "gain": LinearFeedback([[0.6]])}
+        options = {"U": ([least], [0.8]), "seeds": seeds}
+        result = found({n: lambda d, rng, law=law: law for n, law in laws.items()}, kicked, **options)["gain"]
+        assert result.evidence.lost == (0, seeds)
+        violation = result.evidence.violation
+        assert (None if violation is None else violation.exceeded) == row
 
 
 def test_the_row_that_is_named_is_that_of_the_seed_that_leaves_it_deepest():
