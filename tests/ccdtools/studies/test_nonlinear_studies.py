@@ -62,6 +62,7 @@ def test_without_a_real_plant_the_steps_are_those_of_the_model():
     assert not study(tank(rate=30.0), real=real(tank(rate=30.0))).real_is_model
     same = tank(rate=30.0)
     assert study(same, real=real(same)).real_is_model
+    assert not study(same, real=real(same, later=[real(same), real(tank(rate=30.0, cubic=0.3))])).real_is_model
 
 
 @pytest.mark.parametrize("cubic", [0.0, 0.2])
