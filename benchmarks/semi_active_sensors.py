@@ -54,7 +54,7 @@ def rows(study, iterations, seed, fixed):
     agent = first_policy(state, study.p0, rng, expert=study.laws[study.expert], samples=study.samples, sets="lqr",
                          cloning=CloningConfig(steps=1000)).agent  # fmt: skip
     method = Learned(agent=agent, history=0, config=CoDesignConfig(iterations=iterations, starts=1))
-    real = replace(study.real, runs=4, steps=STEPS, held_out=None)
+    real = replace(study.real, runs=4, steps=STEPS)
     first, second = fitted_generations(
         problem, real, method=method, design=study.p0, plant=unknown_car(), rng=rng
     )  # fmt: skip

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ccdtools.co_design.codesign import as_method, codesign
 from ccdtools.co_design.output_filter import estimator_at
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.controllers.observed import Observed
+from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.evidence.evidence import Violation
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
@@ -66,6 +68,8 @@ class FittedGeneration:
         they tell where the problem has sensors; where that is what is deployed.
     violation : Violation or None
         Limits that a redesign left further on the real plant than the tolerance, and than what was in service.
+    elsewhere : dict of str to PairedDifference
+        Gain of a redesign on the held-out drives of the real plant.
     agent : ActorCritic or None
         Networks of a learned policy.
     """
@@ -79,6 +83,7 @@ class FittedGeneration:
     accepted: bool = True
     update: PairedDifference | None = None
     violation: Violation | None = None
+    elsewhere: Mapping[str, PairedDifference] = field(default_factory=dict)
     agent: Any = None
 
     @property
@@ -94,7 +99,10 @@ class FittedGeneration:
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
         said = f"redesign {place}" if self.predicted else "no redesign"
         update = "LQR by the logs measured" if self.log.outputs is None else "filter of the fit measured"
-        words = {"predicted": self.predicted, "measured": self.gain, "": self.violation, update: self.update}
+        words = {
+            "predicted": self.predicted, "measured": self.gain, **self.elsewhere, "": self.violation,
+            update: self.update,
+        }  # fmt: skip
         gains = [
             str(one) if isinstance(one, Violation) else f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]"
             for name, one in words.items() if one
@@ -113,11 +121,12 @@ def fitted_generations(
     Each is deployed, and its outputs logged, or its states where the problem has no sensors. The plant that all logs
     tell (`fit_plant`), or where nothing unknown is stated and all states are seen what the last log tells by least
     squares (`identified_change`), is designed for again, a learned policy from the one in service on. The redesign is
-    tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service if it breaks no
-    limit there and is no worse beyond chance, nor loses more runs: than what was deployed before, and than an update of
-    it. Where states are logged that is LQR of the affine model that they tell at the former design (`identified_lqr`),
-    where outputs are the former law behind the filter of the plant that they tell, if it is better there beyond chance
-    and breaks no limit. A redesign for a fit that is LASTING or OPEN must be better so, too.
+    tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service if, on the drives of
+    deployments and on each that is held out (`RealPlant.held_out`), it breaks no limit and is no worse beyond chance,
+    nor loses more runs: than what was deployed before, and than an update of it. Where states are logged that is LQR of
+    the affine model that they tell at the former design (`identified_lqr`), where outputs are the former law behind the
+    filter of the plant that they tell, if it is better as deployed beyond chance, no worse elsewhere, and breaks no
+    limit. A redesign for a fit that is LASTING or OPEN must be better so, too.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
@@ -167,11 +176,10 @@ def fitted_generations(
 
     on = _Deployments(problem, real, sensors)
 
-    def logged(one: Any, *rest: Any) -> FittedGeneration:
+    def logged(one: Any, **told: Any) -> FittedGeneration:
         """Generation of what is deployed."""
-        log = on.run(one, on.scenario(real.runs, int(rng.integers(2**31))))
-        made = FittedGeneration(one.design, one.controller, log, *rest)
-        return replace(made, agent=getattr(one, "agent", None))
+        log = on.run(one, on.scenario(real.runs, int(rng.integers(2**31)), real.disturbance))
+        return FittedGeneration(one.design, one.controller, log, agent=getattr(one, "agent", None), **told)
 
     found = [logged(codesign(problem, method=by, design=design, rng=rng))]
     while len(found) < generations and found[-1].status is DeploymentStatus.LOGGED:
@@ -182,7 +190,7 @@ def fitted_generations(
         else:
             fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
         again: Any = None
-        predicted = gain = update = updated = broken = None
+        predicted = updated = None
         if not isinstance(fit, PlantFit) or fit.status is not FitStatus.UNSOLVED:
             updated = fit.likeliest(problem) if isinstance(fit, PlantFit) else fit.updated(problem)
             going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
@@ -190,10 +198,10 @@ def fitted_generations(
             predicted = _predicted(problem, fit, updated, again, before, draws, rng)
             again = again if predicted.ci95[0] > 0 else None
         told = _by_logs(problem, found, updated)
-        deployed: Any = before
+        deployed, measured = before, dict[str, Any]()
         if told is not None or again is not None:
-            deployed, gain, update, broken = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
-        found.append(logged(deployed, fit, predicted, gain, deployed is again, update, broken))
+            deployed, measured = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
+        found.append(logged(deployed, fit=fit, predicted=predicted, accepted=deployed is again, **measured))
     return tuple(found)
 
 
@@ -205,10 +213,10 @@ class _Deployments:
     real: RealPlant
     sensors: Any
 
-    def scenario(self, runs: int, seed: int) -> Scenario:
-        """So many runs, the same by the same seed."""
+    def scenario(self, runs: int, seed: int, drive: Disturbance) -> Scenario:
+        """So many runs of a drive, the same by the same seed."""
         rng = np.random.default_rng(seed)
-        w = self.real.disturbance.sample(runs, self.real.steps, rng)
+        w = drive.sample(runs, self.real.steps, rng)
         return Scenario(self.real.plant, self.real.x0, w, output=self.sensors, seed=int(rng.integers(2**31)))
 
     def run(self, one: Any, scenario: Scenario) -> Trajectory:
@@ -221,30 +229,40 @@ class _Deployments:
         return paired_difference(*(run.returns(self.problem.objective)[kept] for run in (after, before)))
 
     def trial(
-        self, before: Any, told: Any, again: Any, seed: int, doubtful: bool
-    ) -> tuple[Any, PairedDifference | None, PairedDifference | None, Violation | None]:
-        """What is deployed; gain and violation of a redesign that was tried, gain of an update that is deployed."""
-        scenario = self.scenario(max(REAL_RUNS * self.problem.steps // self.real.steps, 2), seed)
-        deployed, gain, update, broken = before, None, None, None
-        old = best = self.run(before, scenario)
+        self, before: FittedGeneration, told: Any, again: Any, seed: int, doubtful: bool
+    ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
+        """What is deployed, and what was measured of a redesign and of an update, as a generation has it."""
+        runs = max(REAL_RUNS * self.problem.steps // self.real.steps, 2)
+        others = self.real.held_out or {}
+        scenarios = [self.scenario(runs, seed, drive) for drive in (self.real.disturbance, *others.values())]
 
-        def better(run: Trajectory, beyond_chance: bool) -> bool:
-            """Whether a run goes before the best so far."""
-            low, high = self.gain(run, best).ci95
-            return (low > 0 if beyond_chance else not high < 0) and run.diverged.sum() <= best.diverged.sum()
+        def driven(one: Any) -> list[Trajectory]:
+            """Runs on every distribution."""
+            return [self.run(one, scenario) for scenario in scenarios]
 
-        def left(run: Trajectory) -> Violation | None:
-            """Limits that a run leaves further than what is in service."""
-            return violation(self.problem, scenario, run, old, self.problem.model)
+        def better(logs: list[Trajectory], beyond_chance: bool) -> bool:
+            """Whether runs go before the best so far: no worse anywhere, and better as deployed if so asked."""
+            low, high = zip(*(self.gain(*pair).ci95 for pair in zip(logs, best)))
+            fewer = all(after.diverged.sum() <= now.diverged.sum() for after, now in zip(logs, best))
+            return fewer and not any(end < 0 for end in high) and (low[0] > 0 or not beyond_chance)
 
-        if told is not None and better(run := self.run(told, scenario), beyond_chance=True) and not left(run):
-            deployed, best, update = told, run, self.gain(run, old)
+        def left(logs: list[Trajectory]) -> Violation | None:
+            """Limits that runs leave further than what is in service."""
+            found = (violation(self.problem, *each, self.problem.model) for each in zip(scenarios, logs, old))
+            return next((one for one in found if one), None)
+
+        old = best = driven(before)
+        deployed, measured = before, dict[str, Any]()
+        if told is not None and better(logs := driven(told), beyond_chance=True) and not left(logs):
+            deployed, best, measured = told, logs, {"update": self.gain(logs[0], old[0])}
         if again is not None:
-            run = self.run(again, scenario)
-            gain, broken = self.gain(run, old), left(run)
-            if better(run, beyond_chance=doubtful) and not broken:
-                deployed, update = again, None
-        return deployed, gain, update, broken
+            logs = driven(again)
+            gain, *elsewhere = (self.gain(*pair) for pair in zip(logs, old))
+            tried = {"gain": gain, "elsewhere": dict(zip(others, elsewhere)), "violation": left(logs)}
+            if better(logs, beyond_chance=doubtful) and not tried["violation"]:
+                return again, tried
+            measured |= tried
+        return deployed, measured
 
 
 def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:

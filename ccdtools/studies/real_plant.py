@@ -35,7 +35,8 @@ class RealPlant(Immutable):
     steps : int
         Length of a run.
     held_out : mapping of str to Disturbance, optional
-        Disturbances by name that no generation meets: fresh draws of each are driven at the end, beside the deployment.
+        Disturbances by name that no deployment meets: fresh draws of each are driven at the end, beside the deployment,
+        and by `fitted_generations` where a redesign is tried.
         By default `disturbance` drawn afresh, if a deployment is one run of it and it is no recording; of several runs
         the comparison on the real plant is fresh already.
     road : bool

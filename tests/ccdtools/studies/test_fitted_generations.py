@@ -173,6 +173,26 @@ def test_where_states_are_seen_the_model_of_any_method_is_the_one_that_they_tell
     assert first.log.outputs is None
 
 
+@pytest.mark.parametrize("held_out", [None, {"calm": Gaussian([0.1])}])
+def test_a_redesign_that_costs_more_on_a_held_out_drive_is_taken_back(held_out):
+    """The stiffer spring that a weak actuator asks for is paid for where nothing pushes, too."""
+    costs = QuadraticObjective(np.eye(2), [[0.1]], design_cost=lambda p: p[0] ** 2)
+    start = FixedStart([0.0, 0.0], Gaussian([0.7]))
+    elsewhere = RealPlant(spring(0.4), start.disturbance, start.x0, 40, 50, held_out=held_out)
+    first, second = fitted_generations(
+        stated(objective=costs, scenarios=start, measurement=None), elsewhere, method=Nested("lqr", starts=1),
+        plant=wide(), rng=np.random.default_rng(2),
+    )  # fmt: skip
+    assert second.gain.ci95[0] > 0
+    assert second.accepted == (held_out is None)
+    assert list(second.elsewhere) == list(held_out or {})
+    if held_out:
+        assert second.elsewhere["calm"].ci95[1] < 0
+        assert "taken back" in str(second)
+        assert "calm -" in str(second)
+        np.testing.assert_array_equal(second.design, first.design)
+
+
 @pytest.mark.check
 def test_a_learned_policy_goes_on_from_the_one_in_service():
     config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)
