@@ -58,7 +58,7 @@ class Excursions(Immutable):
 
     @property
     def exceeded(self) -> str:
-        """The row that is exceeded most by runs that did not diverge; empty where their states lie in X."""
+        """Row that is exceeded most by runs that did not diverge."""
         return deepest_row(self.peak, self.rows, self.lost, self.texts)
 
     @classmethod
@@ -120,7 +120,7 @@ class Excursions(Immutable):
 
 
 def deepest_row(peak: Array, rows: Indices | None, lost: Any, texts: Sequence[str]) -> str:
-    """Text of the row of the largest depth of the runs that are not lost; empty if none leaves it."""
+    """Row of the deepest run that is not lost, or none."""
     depth = np.where(lost, 0.0, peak)
     return texts[rows[int(depth.argmax())]] if rows is not None and depth.max(initial=0.0) > 0 else ""
 

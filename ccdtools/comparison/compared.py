@@ -226,7 +226,7 @@ def _excursions(cells: Sequence[Cell], kind: int) -> Excursions:
 
 
 def _rows(cell: Cell, kind: int) -> tuple[Array, Indices, Mask]:
-    """Peak, row that is exceeded most, and loss of the runs, or of the stretches of the only one."""
+    """Peaks, rows that are exceeded most, and losses of the runs."""
     peak = cell.peaks[kind]
     return peak, cell.rows[kind], np.broadcast_to(cell.lost, peak.shape)
 

@@ -29,6 +29,12 @@ def slopes(states, u, w, p, du, dw, dp, m, total, c):
             {body}
 """
 
+# One kind of every argument: others, such as arrays that cannot be written, would be compiled anew.
+KINDS = dict.fromkeys(("du", "dw", "dp"), "int64") | {
+    "states": "float64[:, :, ::1]", "m": "float64[:, ::1]", "total": "float64[:, ::1]",
+    "c": "Array(float64, 1, 'C', readonly=True)",
+}  # fmt: skip
+
 
 def can_be_compiled(function: ca.Function) -> bool:
     """Whether every operation of a function has a text."""
@@ -111,14 +117,13 @@ def _instructions(function: ca.Function) -> tuple[list[str], list[str], Array]:
 
 @lru_cache(KEPT_SIZES)
 def _compiled(text: str, lines: tuple[str, ...], name: str) -> Callable[..., None]:
-    """Function of a text with these lines as its body: one for all plants of a kind, whose constants are arguments."""
+    """Function of a text with these lines as its body."""
     from numba import njit
-    from numba.types import Array as Of, float64, int64, void
 
-    kinds = {"states": Of(float64, 3, "C"), "m": Of(float64, 2, "C"), "total": Of(float64, 2, "C")}
-    kinds |= {"c": Of(float64, 1, "C", readonly=True), **dict.fromkeys(("du", "dw", "dp"), int64)}
     known: dict[str, Any] = {"np": np}
     exec(text.format(body="\n            ".join(lines)), known)
-    arguments = [kinds.get(one, Of(float64, 2, "C", readonly=True)) for one in signature(known[name]).parameters]
-    compiled: Callable[..., None] = njit(void(*arguments), error_model="numpy")(known[name])
+    kinds = ", ".join(
+        KINDS.get(one, "Array(float64, 2, 'C', readonly=True)") for one in signature(known[name]).parameters
+    )
+    compiled: Callable[..., None] = njit(f"void({kinds})", error_model="numpy")(known[name])
     return compiled

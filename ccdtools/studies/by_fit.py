@@ -231,7 +231,7 @@ class _Deployments:
     def trial(
         self, before: FittedGeneration, told: Any, again: Any, seed: int, doubtful: bool
     ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
-        """What is deployed, and what was measured of a redesign and of an update, as a generation has it."""
+        """What is deployed, and measured gains by attribute of a generation."""
         runs = max(REAL_RUNS * self.problem.steps // self.real.steps, 2)
         others = self.real.held_out or {}
         scenarios = [self.scenario(runs, seed, drive) for drive in (self.real.disturbance, *others.values())]
@@ -241,7 +241,7 @@ class _Deployments:
             return [self.run(one, scenario) for scenario in scenarios]
 
         def better(logs: list[Trajectory], beyond_chance: bool) -> bool:
-            """Whether runs go before the best so far: no worse anywhere, and better as deployed if so asked."""
+            """Whether runs are no worse than the best so far, or better as deployed."""
             low, high = zip(*(self.gain(*pair).ci95 for pair in zip(logs, best)))
             fewer = all(after.diverged.sum() <= now.diverged.sum() for after, now in zip(logs, best))
             return fewer and not any(end < 0 for end in high) and (low[0] > 0 or not beyond_chance)
