@@ -68,9 +68,10 @@ class Excursions(Immutable):
         """Violations of runs from depths (n, T, m) by row and the texts of rows."""
         if not len(by_row):
             return cls(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
-        depth = np.maximum(by_row.max(axis=-1), 0.0)
-        peak, rows = depth.max(axis=1), by_row.max(axis=1).argmax(axis=-1)
-        return cls((depth > 0).mean(axis=1), depth.mean(axis=1), peak, rows, texts, limits, lost, single)
+        depth = by_row.max(axis=-1, initial=0.0)
+        by_run = np.pad(by_row.max(axis=1), ((0, 0), (0, 1)))  # there may be no row but that of nothing exceeded
+        peak, rows = by_run.max(axis=1), by_run.argmax(axis=1)
+        return cls((depth > 0).mean(axis=1), depth.mean(axis=1), peak, rows, (*texts, ""), limits, lost, single)
 
     @classmethod
     def from_trajectory(
@@ -148,7 +149,7 @@ def depth_outside(x: ArrayLike, X: Polytope) -> Array:
     states = as_floats("x", x)
     if states.ndim == 0 or states.shape[-1] != X.dim:
         raise InputError("x", f"shape {states.shape}", f"(..., {X.dim}), the states of X")
-    depth: Array = np.maximum(_depths(states, X)[0].max(axis=-1), 0.0)
+    depth: Array = _depths(states, X)[0].max(axis=-1, initial=0.0)
     return depth
 
 

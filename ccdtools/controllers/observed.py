@@ -113,7 +113,8 @@ class Observed(Around):
         """Write a learned policy and its filter in C99, and report the costs of the policy.
 
         As `History.to_c`; x of `name_law` is the estimate. An output that is not finite leaves none until a reset. Of
-        a `CubatureKalmanFilter`, the code may call functions of math.h.
+        a `CubatureKalmanFilter`, the code may call functions of math.h. Its variances in "float" are none where a state
+        is known ten thousand times less well at the start than a sensor shows it: take "double" there.
 
         Raises
         ------

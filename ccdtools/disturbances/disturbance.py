@@ -132,9 +132,11 @@ def drawn_moments(scenarios: Any, steps: int) -> tuple[Array, Array, Array, Arra
 
 
 def _lasting(one: Any) -> bool:
-    """Whether nothing of what is drawn can change."""
-    if isinstance(one, tuple | Immutable):
-        return all(map(_lasting, one if isinstance(one, tuple) else vars(one).values()))
+    """Whether nothing of what is drawn can change: what is not of a user's class does not."""
+    if isinstance(one, tuple):
+        return all(map(_lasting, one))
+    if type(one).__module__.startswith(f"{__name__.split('.', 1)[0]}."):
+        return all(map(_lasting, vars(one).values()))
     return not hasattr(one, "sample")
 
 

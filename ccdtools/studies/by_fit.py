@@ -100,8 +100,8 @@ class FittedGeneration:
         said = f"redesign {place}" if self.predicted else "no redesign"
         update = "LQR by the logs measured" if self.log.outputs is None else "filter of the fit measured"
         words = {
-            "predicted": self.predicted, "measured": self.gain, **self.elsewhere, "": self.violation,
-            update: self.update,
+            "predicted": self.predicted, "measured": self.gain, "": self.violation, update: self.update,
+            **{f"on {name}": gain for name, gain in self.elsewhere.items()},
         }  # fmt: skip
         gains = [
             str(one) if isinstance(one, Violation) else f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]"
@@ -244,7 +244,7 @@ class _Deployments:
             """Whether runs are no worse than the best so far, or better as deployed."""
             low, high = zip(*(self.gain(*pair).ci95 for pair in zip(logs, best)))
             fewer = all(after.diverged.sum() <= now.diverged.sum() for after, now in zip(logs, best))
-            return fewer and not any(end < 0 for end in high) and (low[0] > 0 or not beyond_chance)
+            return fewer and all(end >= 0 for end in high) and (low[0] > 0 or not beyond_chance)
 
         def left(logs: list[Trajectory]) -> Violation | None:
             """Limits that runs leave further than what is in service."""

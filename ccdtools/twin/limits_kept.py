@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.co_design.budgets import MPC_RUNS
 from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.differentiable_model import fewer_runs
@@ -64,7 +64,7 @@ def violation(
     if not any(suspects):
         return None
     runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
-    tolerances = _by_mpc(problem, scenario.first(runs), after.design) if by_mpc else (Pair(*asked),)
+    tolerances = _by_mpc(problem, scenario.first(runs), after.design, lost[:runs]) if by_mpc else (Pair(*asked),)
     for kind in reversed(range(len(own))):
         achieved, allowed = _pair(own[kind], runs), tolerances[min(kind, len(tolerances) - 1)]
         broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), allowed.values())}
@@ -74,8 +74,8 @@ def violation(
     return None
 
 
-def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> tuple[Pair, ...]:
-    """Tolerances by MPC: of all limits, and of each kind."""
+def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, lost: Indices) -> tuple[Pair, ...]:
+    """Tolerances by MPC: of all limits, and of each kind, on runs that no other law lost."""
     least = (Pair(LEAST_TOLERANCE, LEAST_TOLERANCE),)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
@@ -83,6 +83,7 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> tupl
         raise
     except MPCError:  # no law at this design, such as of a plant that cannot be stabilised
         return least
+    run = replace(run, diverged_at=np.maximum(run.diverged_at, lost))
     if run.diverged.all():
         return least
     X = problem.state_limits(design)

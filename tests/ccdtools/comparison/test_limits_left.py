@@ -19,6 +19,7 @@ from ccdtools import (
     QuadraticObjective,
     compare,
     discretise,
+    excursions,
     experiment,
     plant_from_matrices,
 )
@@ -47,6 +48,20 @@ def test_inputs_at_their_limits_in_single_precision_are_within(U, beyond, counts
     scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, X=([-50.0], [50.0]), U=U)
     assert (scores["rounded"].violations > 0.1) == counts
     assert scores["rounded"].further_outside_than == (("LQR",) if counts else ())
+
+
+@pytest.mark.parametrize(
+    ("X", "U", "word"),
+    [(np.inf, ([-0.2], [0.2]), "better in return only"), (np.inf, None, "better"), (50.0, (-np.inf, np.inf), "better")],
+)
+def test_states_or_inputs_without_limits_are_never_outside(X, U, word):
+    laws = {"LQR": LinearFeedback([[0.6]], -0.2, 0.2), "gain": LinearFeedback([[0.6]])}
+    limits = {"X": ([-X], [X]), "U": U}
+    assert found({name: lambda d, rng, law=law: law for name, law in laws.items()}, **limits)["gain"].word == word
+    scores = compare(laws, drawn(np.random.default_rng(5)), objective=OBJECTIVE, **limits)
+    assert scores["LQR"].violations == 0
+    assert scores["LQR"].exceeded == ""
+    assert excursions([[1e9], [0.0]], Polytope.from_bounds([-np.inf], [np.inf])).exceeded == ""
 
 
 def test_rows_of_U_are_named_after_it():

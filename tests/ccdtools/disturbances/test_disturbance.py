@@ -17,6 +17,7 @@ from ccdtools import (
     discretise,
 )
 from ccdtools.disturbances import Sum, Uniform
+from ccdtools.vehicles import GeneratedRoad, ISORoad
 
 
 def test_gaussian_noise_has_the_stated_moments_and_is_white(rng):
@@ -82,13 +83,22 @@ def test_bad_disturbances_are_refused(make, message):
         make()
 
 
-def test_moments_of_starts_follow_a_disturbance_that_changes_and_know_none():
-    class Mine:
-        std = 1e-3
+class Mine:
+    gain = 1e-3
 
-        def sample(self, runs, steps, rng):
-            return self.std * rng.standard_normal((runs, steps, 1))
+    def sample(self, runs, steps, rng):
+        return self.gain * rng.standard_normal((runs, steps, 1))
 
+
+class Gust(Gaussian):
+    gain = 1e-3
+
+    def sample(self, runs, steps, rng):
+        return self.gain * super().sample(runs, steps, rng)
+
+
+@pytest.mark.parametrize(("kind", "given"), [(Mine, ()), (Gust, ([1.0],))])
+def test_moments_of_starts_follow_a_disturbance_that_changes_and_know_none(monkeypatch, kind, given):
     x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
     rates = [x[1], -x[0] - 0.3 * x[1] + u]
     sensors = {"measurement": Measurement([[1.0, 0.0]], noise=[0.1]), "X": (-4, 4), "U": (-3, 3), "steps": 50}
@@ -101,10 +111,33 @@ def test_moments_of_starts_follow_a_disturbance_that_changes_and_know_none():
             discretise(plant), objective=QuadraticObjective(np.eye(2), [[0.1]]), scenarios=scenarios, **sensors
         )
 
-    mine = FixedStart([1.0, 0.0], Mine())
+    mine = FixedStart([1.0, 0.0], kind(*given))
     before = stated(mine, w).moments[2]
-    mine.disturbance.std = 1.0
+    monkeypatch.setattr(kind, "gain", 1.0)
     assert stated(mine, w).moments[2] == pytest.approx(1e6 * before)
     kept = FixedStart([1.0, 0.0], Gaussian([0.3]))
     assert stated(kept, w).moments[2] == stated(kept, w).moments[2] == pytest.approx(0.09, rel=0.02)
     assert stated(FixedStart([1.0, 0.0])).moments[2].shape == (0, 0)
+
+
+@pytest.mark.parametrize("road", [ISORoad("C", dt=0.1), GeneratedRoad(dt=0.1)])
+def test_roads_are_drawn_once_for_the_moments_of_a_problem(monkeypatch, road):
+    drawn = []
+
+    def sample(self, runs, steps, rng):
+        drawn.append(runs)
+        return rng.standard_normal((runs, steps, 1))
+
+    monkeypatch.setattr(type(road), "sample", sample)
+    x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
+    plant = Plant(x, u, w, None, [x[1], u + w - x[0]], DesignSpace([], [], []), dt=0.1)
+    start = FixedStart([1.0, 0.0], Sum((road, Gaussian([0.1]))))
+    one, other = (
+        CoDesignProblem(
+            discretise(plant), objective=QuadraticObjective(np.eye(2), [[0.1]]), scenarios=start, X=(-4, 4), U=(-3, 3),
+            steps=20, measurement=Measurement([[1.0, 0.0]], noise=[0.1]),
+        )
+        for _ in range(2)
+    )  # fmt: skip
+    np.testing.assert_array_equal(one.moments[2], other.moments[2])
+    assert drawn.count(max(drawn)) == 1

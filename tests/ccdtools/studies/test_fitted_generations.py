@@ -173,9 +173,9 @@ def test_where_states_are_seen_the_model_of_any_method_is_the_one_that_they_tell
     assert first.log.outputs is None
 
 
-@pytest.mark.parametrize("held_out", [None, {"calm": Gaussian([0.1])}])
+@pytest.mark.parametrize("held_out", [None, {"calm": Gaussian([0.1])}, {"calm": Gaussian([1e200])}])
 def test_a_redesign_that_costs_more_on_a_held_out_drive_is_taken_back(held_out):
-    """The stiffer spring that a weak actuator asks for is paid for where nothing pushes, too."""
+    """A weak actuator asks for a stiff spring, which costs the same where nothing pushes; lost runs tell nothing."""
     costs = QuadraticObjective(np.eye(2), [[0.1]], design_cost=lambda p: p[0] ** 2)
     start = FixedStart([0.0, 0.0], Gaussian([0.7]))
     elsewhere = RealPlant(spring(0.4), start.disturbance, start.x0, 40, 50, held_out=held_out)
@@ -187,9 +187,9 @@ def test_a_redesign_that_costs_more_on_a_held_out_drive_is_taken_back(held_out):
     assert second.accepted == (held_out is None)
     assert list(second.elsewhere) == list(held_out or {})
     if held_out:
-        assert second.elsewhere["calm"].ci95[1] < 0
+        assert not second.elsewhere["calm"].ci95[1] >= 0
         assert "taken back" in str(second)
-        assert "calm -" in str(second)
+        assert "on calm " in str(second)
         np.testing.assert_array_equal(second.design, first.design)
 
 

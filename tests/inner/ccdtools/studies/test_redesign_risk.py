@@ -174,6 +174,24 @@ def test_a_price_in_per_cent_is_of_what_control_makes_whatever_the_design_costs(
     assert decisions[0][0]["predicted"].startswith("+15 %")
 
 
+def test_what_mpc_may_do_is_told_by_runs_that_nothing_lost(illustrative):
+    """Kicked runs, in which MPC leaves X far, and which both laws lose."""
+    problem = evaluation_of(illustrative).problem
+    lost = np.where(np.arange(RUNS) % 4 == 0, 5, -1)
+    limit, _ = half_width(problem.X)
+    after, before = (
+        replace(run_of(np.full(RUNS, 0.01), design=[2.2], outside=outside), diverged_at=lost)
+        for outside in (1.3 * limit, 0.0)
+    )
+    tolerances = []
+    for kick in (0.0, 3.0):
+        w = np.zeros((RUNS, STEPS, problem.model.nw))
+        w[lost >= 0, 3:6] = kick
+        scenario = Scenario(problem.model, np.zeros((RUNS, problem.model.nx)), w)
+        tolerances.append(violation(problem, scenario, after, before, None).tolerance)
+    assert tolerances[0] == tolerances[1]
+
+
 def test_what_mpc_may_do_is_the_same_whichever_way_the_limits_are_stated(illustrative):
     """Disturbed beyond what its input can hold, MPC leaves X as far with U(p) and X(p) as with the same numbers."""
     problem = evaluation_of(illustrative).problem
