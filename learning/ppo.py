@@ -55,7 +55,7 @@ class PPOConfig:
     entropy_coefficient : float
         Weight of the policy's entropy, which is added to the objective.
     kl_limit : float
-        The passes stop when the policy has moved this far (mean KL divergence).
+        The passes stop when the policy has moved this far (mean KL divergence); the last step may be beyond it.
     max_gradient : float
         Gradient norms are clipped here, before Adam.
     first_std : float or None
@@ -148,7 +148,7 @@ class UpdateStatistics:
     entropy : float
         Of the policy, mean over the last pass [nat].
     gradient_norm : float
-        Mean norm of the actor's gradient over the steps of the last pass, before it is clipped; NaN without a step.
+        Mean norm of the actor's gradient over the steps of all passes, before it is clipped; NaN without a step.
     passes : int
         Passes over the rollout until the KL limit.
     """
@@ -312,9 +312,9 @@ class PPO:
         if config.running_scales:
             agent.see(rollout.observations, given=self.given)
         kl, outside, entropy, _ = (float(mean) for mean in np.mean(rows, axis=0))
-        norm = float(np.mean([norm for *_, norm in rows if not np.isnan(norm)] or [np.nan]))
+        norms = [norm for done in (*before, rows) for *_, norm in done if not np.isnan(norm)]
         explained = 1.0 - residual / variance if variance > 0 else float("nan")
-        return UpdateStatistics(kl, outside, explained, entropy, norm, len(before) + 1)
+        return UpdateStatistics(kl, outside, explained, entropy, float(np.mean(norms or [np.nan])), len(before) + 1)
 
     def _passes(self, batch: Batch, generator: torch.Generator, actor: bool) -> Iterator[list[tuple[float, ...]]]:
         """What each step of a pass did."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -132,11 +132,11 @@ def drawn_moments(scenarios: Any, steps: int) -> tuple[Array, Array, Array, Arra
 
 
 def _lasting(one: Any) -> bool:
-    """Whether nothing of what is drawn can change: what is not of a user's class does not."""
+    """Whether nothing of what is drawn can change."""
     if isinstance(one, tuple):
         return all(map(_lasting, one))
-    if type(one).__module__.startswith(f"{__name__.split('.', 1)[0]}."):
-        return all(map(_lasting, vars(one).values()))
+    if is_dataclass(one) and type(one).__module__.startswith(f"{__name__.split('.', 1)[0]}."):
+        return all(_lasting(getattr(one, field.name)) for field in fields(one))
     return not hasattr(one, "sample")
 
 

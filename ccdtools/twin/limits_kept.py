@@ -75,7 +75,7 @@ def violation(
 
 
 def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, lost: Indices) -> tuple[Pair, ...]:
-    """Tolerances by MPC: of all limits, and of each kind, on runs that no other law lost."""
+    """Tolerances by MPC, of all limits and of each kind."""
     least = (Pair(LEAST_TOLERANCE, LEAST_TOLERANCE),)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)

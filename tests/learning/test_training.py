@@ -246,6 +246,17 @@ def test_rows_say_what_every_update_did():
     assert result.rows[0].update.entropy == pytest.approx(0.5 * np.log(2 * np.pi * np.e * 0.3**2), abs=0.1)
 
 
+def test_an_update_whose_first_step_ends_its_passes_is_none_of_the_critic_alone():
+    net = agent()
+    result = short(net, iterations=2, config=PPOConfig(learning_rate=0.3, critic_only=1, kl_limit=1e-3))
+    critic, actor = (row.update for row in result.rows)
+    assert np.isnan(critic.gradient_norm)
+    assert actor.passes == 2
+    assert actor.kl > 1e-3
+    assert actor.gradient_norm > 0
+    assert "2 updates, 1 of them of the critic alone" in result.describe()
+
+
 def test_the_best_agent_is_kept_beside_the_last():
     seen = []
     net = agent()
