@@ -70,6 +70,8 @@ class FittedGeneration:
         Limits that a redesign left further on the real plant than the tolerance, and than what was in service.
     elsewhere : dict of str to PairedDifference
         Gain of a redesign on the held-out drives of the real plant.
+    lost : (int, int)
+        Runs that a redesign, and what was in service, lost where it was tried.
     agent : ActorCritic or None
         Networks of a learned policy.
     """
@@ -84,6 +86,7 @@ class FittedGeneration:
     update: PairedDifference | None = None
     violation: Violation | None = None
     elsewhere: Mapping[str, PairedDifference] = field(default_factory=dict)
+    lost: tuple[int, int] = (0, 0)
     agent: Any = None
 
     @property
@@ -107,6 +110,8 @@ class FittedGeneration:
             str(one) if isinstance(one, Violation) else f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]"
             for name, one in words.items() if one
         ]  # fmt: skip
+        if self.lost[0] > self.lost[1]:
+            gains.append(f"{self.lost[0]} runs lost, {self.lost[1]} before")
         told = [self.fit.advice] if isinstance(self.fit, PlantFit) and _doubtful(self.fit) else []
         return ". ".join([", ".join([said, *gains]), *told, *lost])
 
@@ -242,9 +247,10 @@ class _Deployments:
 
         def better(logs: list[Trajectory], beyond_chance: bool) -> bool:
             """Whether runs are no worse than the best so far, or better as deployed."""
-            low, high = zip(*(self.gain(*pair).ci95 for pair in zip(logs, best)))
-            fewer = all(after.diverged.sum() <= now.diverged.sum() for after, now in zip(logs, best))
-            return fewer and all(end >= 0 for end in high) and (low[0] > 0 or not beyond_chance)
+            ends = np.array([self.gain(*pair).ci95 for pair in zip(logs, best)])
+            saved = np.array([int(now.diverged.sum()) - int(after.diverged.sum()) for after, now in zip(logs, best)])
+            ends[saved > 0] = np.where(np.isnan(ends), np.inf, ends)[saved > 0]  # nothing to compare but what it saves
+            return bool((saved >= 0).all() and (ends[:, 1] >= 0).all() and (ends[0, 0] > 0 or not beyond_chance))
 
         def left(logs: list[Trajectory]) -> Violation | None:
             """Limits that runs leave further than what is in service."""
@@ -258,7 +264,8 @@ class _Deployments:
         if again is not None:
             logs = driven(again)
             gain, *elsewhere = (self.gain(*pair) for pair in zip(logs, old))
-            tried = {"gain": gain, "elsewhere": dict(zip(others, elsewhere)), "violation": left(logs)}
+            lost = tuple(sum(int(log.diverged.sum()) for log in some) for some in (logs, old))
+            tried = {"gain": gain, "elsewhere": dict(zip(others, elsewhere)), "violation": left(logs), "lost": lost}
             if better(logs, beyond_chance=doubtful) and not tried["violation"]:
                 return again, tried
             measured |= tried
