@@ -99,12 +99,13 @@ class QuantileNetwork(nn.Module):
         self.levels = tuple(levels)
         self.hidden = tuple(hidden)
         self.outputs = outputs
-        self.register_buffer("input_offset", torch.zeros(inputs))
-        self.register_buffer("input_scale", torch.ones(inputs))
-        self.register_buffer("input_lower", torch.full((inputs,), -torch.inf))
-        self.register_buffer("input_upper", torch.full((inputs,), torch.inf))
-        self.register_buffer("output_offset", torch.zeros(outputs))
-        self.register_buffer("output_scale", torch.ones(outputs))
+        units = {  # in which a number may have more digits than the weights
+            "input_offset": torch.zeros(inputs), "input_scale": torch.ones(inputs),
+            "input_lower": torch.full((inputs,), -torch.inf), "input_upper": torch.full((inputs,), torch.inf),
+            "output_offset": torch.zeros(outputs), "output_scale": torch.ones(outputs),
+        }  # fmt: skip
+        for name, value in units.items():
+            self.register_buffer(name, value.double())
         self.register_buffer("calibration", torch.ones(len(self.levels) - 1, outputs))
         self.register_buffer("positions", torch.full((samples, outputs), float(len(self.levels) // 2)))
         with torch.random.fork_rng():
@@ -115,17 +116,17 @@ class QuantileNetwork(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
-        z = (self.clipped(inputs) - self.input_offset) / self.input_scale
+        z = ((self.clipped(inputs) - self.input_offset) / self.input_scale).to(self.positions.dtype)
         median: Tensor = self.median_network(z).unsqueeze(-2)
         if self.gap_network is None:
-            return self.output_offset + self.output_scale * median
+            return (self.output_offset + self.output_scale * median).to(inputs.dtype)
         gaps = nn.functional.softplus(self.gap_network(z)).unflatten(-1, (len(self.levels) - 1, self.outputs))
         gaps = self.calibration * gaps
         middle = len(self.levels) // 2
         below = -gaps[..., :middle, :].flip(-2).cumsum(-2).flip(-2)
         above = gaps[..., middle:, :].cumsum(-2)
         spread = torch.cat([below, torch.zeros_like(median), above], dim=-2)
-        return self.output_offset + self.output_scale * (median + spread)
+        return (self.output_offset + self.output_scale * (median + spread)).to(inputs.dtype)
 
     def clipped(self, inputs: Tensor) -> Tensor:
         """Inputs within the range of the training data."""
@@ -155,7 +156,7 @@ class QuantileNetwork(nn.Module):
         if x.shape[-1:] != (len(self.input_offset),):
             raise InputError("inputs", f"shape {x.shape}", f"(..., {len(self.input_offset)}), as in the fit")
         with torch.no_grad():
-            return np.asarray(self(torch.tensor(x, dtype=torch.float32)).double().numpy())
+            return np.asarray(self(torch.tensor(x)).numpy())
 
     def shape(self) -> dict[str, Any]:
         """Sizes for `from_shape`."""
@@ -257,13 +258,13 @@ def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
         ("output_offset", y.mean(axis=0)),
         ("output_scale", spread(y)),
     ):
-        getattr(network, name).copy_(torch.tensor(value, dtype=torch.float32))
+        getattr(network, name).copy_(torch.tensor(value))
 
 
 def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: tuple[Array, Array],
              config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:  # fmt: skip
     """Minimise the pinball loss by Adam; keep the best validated weights."""
-    (X, Y), (Xv, Yv) = ([torch.tensor(a, dtype=torch.float32) for a in pair] for pair in (train, validation))
+    (X, Y), (Xv, Yv) = (list(map(torch.tensor, pair)) for pair in (train, validation))
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay,
                                   fused=True)  # fmt: skip
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)

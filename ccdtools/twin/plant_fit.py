@@ -408,8 +408,12 @@ class _Likelihood:
         return np.asarray(z)
 
     def held(self, z: Array) -> Mask:
-        """Which of the parameters (m,) a bound holds."""
-        return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
+        """Which of the parameters (m,) a bound holds: it is near, and a step of each alone leads to it or beyond."""
+        _, slope, rows, _ = self.at(z)
+        below, above = z - self.bounds.lb, self.bounds.ub - z
+        way, push = np.minimum(below, above).clip(max=1.0), np.where(below < above, slope, -slope)
+        told = (rows**2).sum(axis=0)
+        return np.asarray((way <= NEGLIGIBLE) & (way * told - push <= np.sqrt(NEGLIGIBLE * told)))
 
     def rise(self, z: Array) -> float:
         """Square of the best step, in standard deviations; NaN where a filter diverges.

@@ -46,6 +46,16 @@ def test_it_fits_what_fit_quantiles_fits():
     np.testing.assert_array_equal(one.predict(x), network.predict(x))
 
 
+@pytest.mark.parametrize("offset", [101325.0, 5.4e6, 5e7])
+def test_an_offset_of_targets_and_inputs_moves_what_it_tells_and_no_more(offset):
+    x, y = samples(300, 0)
+    plain, moved = (
+        QuantileRegressor(steps=60).fit(x + away, y + away).predict(x[:50] + away) - away for away in (0.0, offset)
+    )
+    np.testing.assert_allclose(moved, plain, atol=1e-3)
+    assert (np.diff(moved, axis=1) > 0).all()
+
+
 def test_its_score_is_minus_the_pinball_loss():
     x, y = samples(200, 2)
     one = QuantileRegressor(levels=(0.1, 0.5, 0.9), steps=20).fit(x, y)

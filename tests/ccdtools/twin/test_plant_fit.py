@@ -309,6 +309,19 @@ def test_a_bound_that_holds_a_parameter_is_said():
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
 
 
+@pytest.mark.parametrize("sensors", [True, False])
+def test_a_parameter_that_is_told_is_held_by_no_bound_however_wide_they_are(sensors):
+    plant, problem = spring(names=("gain",)), stated(**({} if sensors else {"measurement": None}))
+    log = logged(stated(), spring(0.5))
+    near, wide = (
+        fit_plant(problem, log, plant=replace(plant, design=DesignSpace(["k", "gain"], [0.5, 0.1], [4.0, most])))
+        for most in (10.0, 1e6)
+    )
+    assert wide.status is near.status
+    assert wide.values[0] == pytest.approx(near.values[0], abs=0.05 * near.deviations[0])
+    assert wide.deviations[0] == pytest.approx(near.deviations[0], rel=0.05)
+
+
 # ── what is refused ──
 
 
