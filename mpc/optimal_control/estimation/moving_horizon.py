@@ -24,7 +24,10 @@ from mpc.optimal_control.functions import Statement, compiled, symbols_of
 class WindowStatus(Outcome):
     """Outcome of a sample; the value is the advice."""
 
-    SOLVED = "Solved: the most likely course within the limits, checked apart from the solver."
+    SOLVED = (
+        "Solved: a locally most likely course within the limits, checked apart from the solver. Another may lie "
+        "elsewhere."
+    )
     FILTERED = (
         "No optimum of the window was confirmed: the estimate is the extended Kalman filter's, which knows no limits. "
         "Check that limits on states and disturbances can hold together, and that the model is finite within them."

@@ -14,7 +14,7 @@ from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.functions import symbols_of
-from mpc.optimal_control.ipopt import WARM, Settings, once
+from mpc.optimal_control.ipopt import Settings, once
 from mpc.optimal_control.pieces import kind_of, piece_of
 from mpc.optimal_control.program import SizedProgram
 from mpc.tolerances import KKT_REPORTED
@@ -162,7 +162,7 @@ class WindowProgram:
         aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, window.course.shape)
         guess[at["z"]] = (window.course + aside * model.sizes).ravel()
         guess = np.clip(guess, low, high)
-        settings = Settings(tolerance, USUAL_ITERATIONS, np.inf, WARM)
+        settings = Settings(tolerance, USUAL_ITERATIONS, np.inf, {})
         found = once(replace(self.program, lower=low, upper=high), guess, None, settings)
         good = found.ended and found.residuals.worst <= KKT_REPORTED
         return found.v[at["z"]].reshape(window.course.shape), bool(good)

@@ -123,6 +123,30 @@ def test_an_estimate_stays_within_limits_however_far_an_output_is():
     np.testing.assert_allclose(belief.mean, 1.0, atol=1e-6)
 
 
+def test_a_course_at_a_limit_leaves_it_where_a_cheaper_one_lies_within():
+    """Batch reactor 2A → B seen by its pressure (Haseltine and Rawlings, Ind. Eng. Chem. Res. 44, 2005)."""
+    react = lambda x: ca.vertcat(x[0] - 0.032 * x[0] ** 2, x[1] + 0.016 * x[0] ** 2)  # noqa: E731
+    first, rng, x, outputs = np.array([0.1, 4.5]), np.random.default_rng(5), np.array([3.0, 1.0]), []
+    for _ in range(4):
+        outputs.append(x.sum() + 0.1 * rng.normal())
+        x = np.array(react(x)).ravel() + 0.01 * rng.normal(size=2)
+    estimator = MovingHorizonEstimator(
+        lambda x, w: react(x) + w, lambda x: x[0] + x[1], 2, 0, window=4, W=[1e-4, 1e-4], V=[1e-2], P0=[36, 36],
+        x0=first, x_bounds=([0, 0], [None, None]),
+    )  # fmt: skip
+    for count, belief in enumerate(followed(estimator, outputs), 1):
+        known = ca.Opti()
+        course = known.variable(2, count)
+        moved = [100 * (course[:, k + 1] - react(course[:, k])) for k in range(count - 1)]
+        missed = 10 * (ca.sum1(course) - ca.DM(outputs[:count]).T)
+        known.minimize(ca.sumsqr((course[:, 0] - first) / 6) + ca.sumsqr(missed) + ca.sumsqr(ca.vertcat(0, *moved)))
+        known.subject_to(ca.vec(course) >= 0)
+        known.set_initial(course, ca.repmat(ca.DM(first), 1, count))
+        known.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "tol": 1e-10})
+        assert belief.status[0].name == "SOLVED"
+        np.testing.assert_allclose(belief.windows[0].course, known.solve().value(course).T.reshape(-1, 2), atol=1e-5)
+
+
 def test_limits_that_cannot_hold_together_leave_the_filter_and_say_so():
     estimator = MovingHorizonEstimator(
         lambda x, w: x + 5 + w, lambda x: x, 1, 0, **WALK, x_bounds=([0], [1]), w_bounds=(-1, 1)
