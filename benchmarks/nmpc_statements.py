@@ -257,8 +257,8 @@ class Reference:
             chosen = np.flatnonzero(of_u | (k > 0)).tolist()
             if chosen:
                 keep(path(X[:, k], U[:, k], k)[chosen], -np.inf, 0)
-        if of_u.size:
-            keep(path(X[:, N], U[:, N - 1], N), -np.inf, 0)
+        if not of_u.all():
+            keep(path(X[:, N], U[:, N - 1], N)[np.flatnonzero(~of_u).tolist()], -np.inf, 0)
         cost += one.last(X[:, N], one.w[N], one.p)
         if one.soft is not None:
             for k in range(1, N + 1):

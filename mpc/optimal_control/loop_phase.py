@@ -121,8 +121,7 @@ class LoopPhase(Immutable):
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)
-        of_inputs = self.of(part, "u")
-        free[part.path.start : part.path.start + len(of_inputs)] = ~of_inputs  # of the first state
+        free[part.path][: len(part.functions.path_names)] = ~self.counting(part)[0]
         row_lower, row_upper = np.where(free, -INF, program.row_lower), np.where(free, INF, program.row_upper)
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
@@ -134,15 +133,20 @@ class LoopPhase(Immutable):
             found[[row for row, column in zip(rows, columns) if name == "u" or column < self.phase.states]] = True
         return found
 
+    def counting(self, part: PhasePart) -> Flags:
+        """Whether each path row counts at each state (N + 1, r)."""
+        of_inputs = self.of(part, "u")
+        along = [np.ones_like(of_inputs)] * (self.horizon - 1)
+        return np.vstack([of_inputs, *along, ~of_inputs | part.phase.held])  # the first state is given
+
     @cached_property
     def may_give(self) -> Flags:
         """Rows that may be relaxed: not those of inputs alone."""
-        program = self._hard
-        found = np.zeros(len(program.row_lower), dtype=bool)
-        for rows in program.rows:
-            if rows.name in ("path", "boundary"):
-                own = self.of(program.parts[0], "x") if rows.name == "path" else np.ones(len(rows.entries), dtype=bool)
-                found[rows.first : rows.last] = np.tile(own, (rows.last - rows.first) // len(own))
+        program, part = self._hard, self._hard.parts[0]
+        own, found = self.of(part, "x"), np.ones(len(program.row_lower), dtype=bool)
+        along = np.append(np.tile(own, self.horizon), own[self.counting(part)[-1]])
+        found[part.defects] = False
+        found[part.path.start :][: len(along)] = along
         return found & (np.isfinite(program.row_lower) | np.isfinite(program.row_upper))
 
     @cached_property
@@ -153,7 +157,7 @@ class LoopPhase(Immutable):
         x, u = first_guess(phase)(times)
         sides = zip(phase.x_bounds, (-INF, INF), phase.u_bounds)
         before = [f"{name} before" for _ in last for name in phase.input_names]
-        return Phase(
+        return (Phase if phase.discrete else _Sampled)(
             self._dynamics, phase.states + nw + len(before), phase.inputs, duration=N, discrete=True,
             guess=(times, np.hstack([x, self.signal(phase.start_time), *[u for _ in last]]), u),
             x_bounds=tuple(np.concatenate([a, np.full(nw, b), *[c for _ in last]]) for a, b, c in sides),
@@ -208,6 +212,12 @@ class LoopPhase(Immutable):
         bounds = tuple(np.concatenate([a, b[self.ending]]) for a, b in zip(f.boundary_bounds, self.phase.end))
         names = [*f.boundary_names, *(f"end of {self.phase.state_names[i]}" for i in own)]
         return {"boundary": boundary, "boundary_bounds": bounds, "boundary_names": names} if names else {}
+
+
+class _Sampled(Phase):
+    """Samples of a phase in time: the last input acts until the end."""
+
+    held = True
 
 
 def as_loop_phase(phase: Phase, horizon: int | None, p: Array, rate_limit: Array | None) -> LoopPhase:

@@ -58,7 +58,8 @@ class Phase:
     x_bounds, u_bounds : (lower, upper), optional
         Each a number or one for every entry; infinite where there is none.
     path : function, optional
-        Values that are kept within `path_bounds`, at all points of the mesh: ≤ 0 by default.
+        Values that are kept within `path_bounds`, at all points of the mesh: ≤ 0 by default. Those of an input count
+        where it acts: at the end of a phase in time, but not at the last state of a `discrete` one.
     path_bounds : (lower, upper)
     path_prices : (linear, quadratic), optional
         Makes path limits soft: a violation e costs linear · e + quadratic · e², integrated over time, or summed over
@@ -179,6 +180,11 @@ class Phase:
     def bounded(self) -> Any:
         """States that have bounds."""
         return np.flatnonzero(np.isfinite(self.x_bounds).any(axis=0))
+
+    @property
+    def held(self) -> bool:
+        """Whether an input that is held acts until the end."""
+        return not self.discrete
 
     @property
     def free_duration(self) -> bool:

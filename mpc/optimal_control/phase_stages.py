@@ -43,7 +43,8 @@ class PhaseStages:
         last = kind(last)
         ends = [] if f.boundary is None else [f.boundary(x0, x, kind(0, 1), 0, t, p)]
         stage = [after], kind(f.cost_at(*at)), f.path_at(*at), [x, u, p, t]
-        end: Any = [], last, ca.vertcat(f.path_at(*at), *ends), [x, u, p, t, x0]
+        counting = ca.sparsify(ca.DM(loop.counting(self.part)[-1].astype(float)))
+        end: Any = [], last, ca.vertcat(counting * f.path_at(*at), *ends), [x, u, p, t, x0]
         (self._stage, self._stage_bent), (self._last, self._last_bent) = (
             tuple(Buffered(one.map("along", "serial", count, shared, [])) for one in _slopes(kind, *of))
             for of, count, shared in ((stage, N, [2]), (end, 1, []))
@@ -80,9 +81,9 @@ class PhaseStages:
 
     @cached_property
     def _free(self) -> Any:
-        """Path limits of the first state alone."""
-        of_inputs = self.loop.of(self.part, "u")[self._path.of]
-        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~of_inputs)
+        """Path limits that do not count."""
+        counting = self.loop.counting(self.part)[:, self._path.of]
+        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~counting)
 
     def at(self, z: Array, states: Array, inputs: Array, p: Array, w: Array) -> Local:
         """Statement at a plan from z (nz,) with parameters and time p."""

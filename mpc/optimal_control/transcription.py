@@ -221,18 +221,18 @@ class _Assembly:
             return
         low, high = part.functions.path_bounds
         kept = np.arange(len(low))
-        if layout.points == (0.0,):  # with the input that is held last
+        if layout.points == (0.0,):  # with the input that is held last, where it acts
             fraction, share = 1.0, 1 - part.mesh[-2]
             node = part.last - layout.node
-            inputs = node - layout.nu + np.arange(layout.nu)
+            inputs = node - layout.nu + np.arange(layout.nu * part.phase.held)
         else:
             fraction, share = 0.0, part.shares[0, 0] if layout.points[0] == 0 else 0.0
             node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
-            if not layout.node_inputs:
-                kept = np.setdiff1d(kept, path.jac_sparsity(0, 1).row())
             if not share:  # the start is given no time, so no price counts there
                 kept = kept[np.isinf(part.functions.path_prices[:, kept]).all(axis=0)]
+        if not len(inputs):
+            kept = np.setdiff1d(kept, path.jac_sparsity(0, 1).row())
         if not len(kept):
             return
 
