@@ -76,13 +76,13 @@ class LoopPlanner:
         settings = self._settings
         if np.isfinite(self.time_limit):  # made before a clock runs
             for options in ({}, WARM):
-                solver_of(self.loop.program, replace(settings, options=options))
+                solver_of(self.loop.program, replace(settings, options=options | settings.options))
         _ = self.loop.program
 
     @property
     def _settings(self) -> Settings:
-        """Settings of every call of the solver."""
-        return replace(as_settings(1e-8, self.most, self.time_limit, None), each=True)
+        """Settings of every call of the solver, which moves no bound by a part of its distance from the origin."""
+        return replace(as_settings(1e-8, self.most, self.time_limit, {"bound_relax_factor": 0.0}), each=True)
 
     @cached_property
     def model(self) -> DiscreteModel:

@@ -94,7 +94,7 @@ class PhaseStages:
         after[:, own][:, : w.shape[1]] = w[1:]
         cost_x, cost_u = np.vstack([cost_x.reshape(N, nx), last_x.reshape(1, nx)]), cost_u.reshape(N, nu)
         base = self.loop.program.scale[self.part.first :][: nx + nu]
-        sizes = np.concatenate([np.abs(states).max(axis=0), np.abs(inputs).max(axis=0)])
+        sizes = np.concatenate([np.ptp(states, axis=0), np.ptp(inputs, axis=0)])
         sizes = np.where(sizes > NEGLIGIBLE * base, sizes, base)
         values = [np.vstack([path, ends[:, : path.shape[1]]]), ends[:, path.shape[1] :]]
         slopes = [np.concatenate([_columns(path_x, nx), _columns(ends_x, nx)[:, : path.shape[1]]]),

@@ -257,7 +257,7 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     passed = _jumps_over(solution)
     missed = f"{reason}: the mesh misses the {'cost' if of_cost else 'dynamics'} by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
-    digit = 10.0 ** np.floor(np.log10(worst)) if np.isfinite(worst) else 1.0
+    digit = 10.0 ** np.floor(np.log10(worst)) if np.isfinite(worst) and worst > 0 else 1.0
     ask = f"Ask for {np.ceil(worst / digit) * digit:g}{more}." if asked == run.tolerance else "Take more intervals."
     if reason.startswith(FINER) or passed:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."

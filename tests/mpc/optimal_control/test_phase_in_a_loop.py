@@ -374,3 +374,24 @@ def test_a_state_thrown_beyond_a_hard_limit_comes_back_as_fast_as_it_can_by_prog
         assert x == pytest.approx(expected, rel=1e-6)
     assert [status for status, _ in found] == ["SOFTENED"] * 3 + ["SOLVED"] * 2
     assert [solver for _, solver in found[1:]] == ["SQP"] * 4
+
+
+@pytest.mark.parametrize("northing", [1e5, 5.3e6])
+def test_limits_are_kept_far_from_the_origin_of_the_coordinates(northing):
+    # metres in a national grid: a disc of 1 m to pass by, then a lane of 0.5 m to each side
+    c = np.array([northing / 10, northing])
+
+    def towards(aim, **limits):
+        return NonlinearMPC(Phase(
+            dynamics=lambda x, u: x + 0.1 * u, states=2, inputs=2, discrete=True, duration=20, u_bounds=(-5, 5),
+            stage_cost=lambda x, u: ca.sumsqr(x - c - ca.DM(aim)) + 0.1 * ca.sumsqr(u), **limits,
+        ))  # fmt: skip
+
+    passing = towards([3, 0.1], path=lambda x: 1 - ca.sumsqr(x - c)).solve(c - np.array([3, -0.1]))
+    assert passing.status is Status.SOLVED
+    assert np.linalg.norm(passing.states[1:] - c, axis=1).min() >= 1 - 1e-6
+    assert passing.cost == pytest.approx(195.48922, rel=1e-3)  # as at the origin
+    lane = ([-np.inf, c[1] - 0.5], [np.inf, c[1] + 0.5])
+    inside = towards([3, 1], x_bounds=lane).solve(c)
+    assert inside.status is Status.SOLVED
+    assert np.abs(inside.states[:, 1] - c[1]).max() <= 0.5 + 1e-6

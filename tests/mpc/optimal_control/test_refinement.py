@@ -157,3 +157,13 @@ def test_what_meets_its_cost_and_misses_the_dynamics_says_so():
     found = refine(phase, intervals=4, of="cost", tolerance=0.01, rounds=1)
     assert found.status.name == "STOPPED"
     assert "misses the dynamics by 3.6e-01 where 5.0e-02 was asked for. Take more intervals" in found.advice
+
+
+def test_dynamics_that_are_met_exactly_are_said_to_be_missed_by_none():
+    still = Phase(
+        dynamics=lambda x: 0 * x, states=1, inputs=0, duration=1.0, terminal_cost=lambda x: (x - 1) ** 2,
+        path=lambda x, t: x - (t - 0.4) ** 2,
+    )  # fmt: skip
+    found = refine(still, intervals=1, rounds=1)
+    assert found.status is OptimalControlStatus.LIMITS_PASSED
+    assert "misses the dynamics by 0.0e+00" in found.advice
