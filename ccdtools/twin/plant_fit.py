@@ -408,7 +408,10 @@ class _Likelihood:
         return np.asarray(z)
 
     def held(self, z: Array) -> Mask:
-        """Which of the parameters (m,) a bound holds: it is near, and a step of each alone leads to it or beyond."""
+        """Which of the parameters (m,) a bound holds.
+
+        It is near, and a step of the parameter alone leads to it or beyond.
+        """
         _, slope, rows, _ = self.at(z)
         below, above = z - self.bounds.lb, self.bounds.ub - z
         way, push = np.minimum(below, above).clip(max=1.0), np.where(below < above, slope, -slope)

@@ -81,7 +81,8 @@ class LoopPlanner:
 
     @property
     def _settings(self) -> Settings:
-        """Settings of every call of the solver, which moves no bound by a part of its distance from the origin."""
+        """Settings of every call of the solver."""
+        # it would move bounds by a part of their distance from the origin
         return replace(as_settings(1e-8, self.most, self.time_limit, {"bound_relax_factor": 0.0}), each=True)
 
     @cached_property
