@@ -36,24 +36,18 @@ class PPOConfig:
     ----------
     gamma : float
         Discount; time limits are bootstrapped, so it must be below 1.
-    lam : float
-        Trace decay λ of the advantages.
-    clip : float
-        ε of the clipped surrogate.
+    lam, clip : float
+        Trace decay λ of the advantages, and ε of the clipped surrogate.
     value_clip : float or None
         If given, values are clipped about their old ones, too, at this many value scales.
-    passes : int
-        Passes over a rollout.
-    minibatch : int
-        Samples per gradient step.
+    passes, minibatch : int
+        Passes over a rollout, and samples per gradient step.
     learning_rate, value_rate : float
         Adam's rates of actor and critic.
     final_rate : float
         Part of these rates that is left at the end of a training; they fall linearly.
-    value_coefficient : float
-        c_v: weight of the Smooth-L1 value loss (in units of the value scale).
-    entropy_coefficient : float
-        Weight of the policy's entropy, which is added to the objective.
+    value_coefficient, entropy_coefficient : float
+        Weights of the Smooth-L1 value loss (in units of the value scale), and of the policy's entropy in the objective.
     kl_limit : float
         The passes stop when the policy has moved this far (mean KL divergence); the last step may be beyond it.
     max_gradient : float
@@ -61,13 +55,11 @@ class PPOConfig:
     first_std : float or None
         If given, the exploration begins with this standard deviation, whatever the agent's own, unless it is a network.
     final_std : float or None
-        If given, the exploration decays geometrically to this value during a training. An exploration that is a network
-        of its own is left to learn.
+        If given, the exploration decays geometrically to this value during a training, unless it is a network.
     critic_only : int
         First iterations in which only the critic learns.
     running_scales : bool
-        Whether observations and values are normalised by what has been seen of them; the scales are saved with the
-        agent.
+        Whether observations and values are normalised by what has been seen of them, in scales that the agent keeps.
     """
 
     gamma: float = 0.99
