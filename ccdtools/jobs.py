@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from pickle import PicklingError
 from typing import Any, NoReturn
 
 from ccdtools.budgets import REPEAT_INTERRUPT
@@ -63,18 +65,7 @@ def as_they_end(
         If a process ends before its work is done.
     """
     if jobs != 1 and len(items) > 1:
-        from joblib import Parallel, delayed
-
-        found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_kept)(function, item) for item in items)
-        ended = 0
-        try:
-            for value in bar(found, label=label, total=len(items), progress=progress):
-                ended += 1
-                yield value
-        except BrokenProcessPool as error:
-            at = f" at {names[ended]}, or at what follows it" if names else ""
-            cure = "It was killed, ran out of memory, or what it called ended it: jobs=1 shows where."
-            raise InputError("jobs", f"a process that ended{at}", "processes that live to the end", cure) from error
+        yield from bar(_sent(function, items, jobs, names), label=label, total=len(items), progress=progress)
         return
     with bar(label=label, total=len(items), progress=progress) as shown_bar:
         for i, item in enumerate(items):
@@ -85,6 +76,40 @@ def as_they_end(
                 shown_bar.n += 1
             else:
                 shown_bar.update()
+
+
+def begun(function: Callable[[Any], Any], item: Any, *, jobs: int) -> Callable[[], Any]:
+    """Way to ask for a function's value, found now, or beside what follows."""
+    if jobs == 1:
+        value = function(item)
+        return lambda: value
+    return functools.partial(next, _sent(function, [item], jobs))
+
+
+def _sent(
+    function: Callable[[Any], Any], items: Sequence[Any], jobs: int, names: Sequence[str] = ()
+) -> Iterator[Any]:  # fmt: skip
+    """Values that processes find from now on, in order."""
+    from joblib import Parallel, delayed
+
+    found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_kept)(function, item) for item in items)
+
+    def values() -> Iterator[Any]:
+        ended = 0
+        try:
+            for value in found:
+                ended += 1
+                yield value
+        except BrokenProcessPool as error:
+            at = f" at {names[ended]}, or at what follows it" if names else ""
+            cure = "It was killed, ran out of memory, or what it called ended it: jobs=1 shows where."
+            raise InputError("jobs", f"a process that ended{at}", "processes that live to the end", cure) from error
+        except PicklingError as error:
+            reason = str(error.__cause__ or error).strip('\n" ').splitlines()[-1]
+            got = f"what cannot be sent to a process ({reason})"
+            raise InputError("jobs", got, "jobs=1, or functions and classes that stand in a module") from error
+
+    return values()
 
 
 def _kept(function: Callable[[Any], Any], item: Any) -> Any:

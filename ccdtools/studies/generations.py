@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -15,6 +16,7 @@ from ccdtools.arrays import jsonable
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.jobs import as_jobs, begun
 from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
@@ -53,6 +55,8 @@ class Generations:
         Takes one line of text per stage.
     progress : bool
         Show progress bars.
+    jobs : int
+        Processes: with more than one, comparisons go on beside the stages that follow. The results are the same.
 
     Raises
     ------
@@ -70,6 +74,7 @@ class Generations:
         seed: int = 0,
         echo: Echo = print,
         progress: bool = True,
+        jobs: int = 1,
     ) -> None:
         self.generations = as_count("generations", generations)
         self.folder = folder
@@ -79,6 +84,8 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
         self._in_service = InService()
+        self._jobs = as_jobs(jobs)
+        self._compared: list[Callable[[], Stage]] = []
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
@@ -119,6 +126,7 @@ class Generations:
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
     def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
+        compared = [stage() for stage in self._compared]
         stages = [stage for record in history for stage in record.stages.values()]
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
@@ -129,7 +137,7 @@ class Generations:
             "schema_version": 7,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, *compared, beyond)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -140,7 +148,7 @@ class Generations:
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
             "initialisation": {key: value for key, value in initial.items() if key != "report"},
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
-            "comparison": [row for record in history for row in record.stages["comparison"].values["rows"]],
+            "comparison": [row for stage in compared for row in stage.values["rows"]],
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
             "in_service": history[-1].stages["in service"].values["rows"],
@@ -153,9 +161,8 @@ class Generations:
         """Record of the start: the first policy, compared at the start design."""
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
         service = Deployable(initial.networks["agent"], np.asarray(self.evaluation.study.p0), "the start")
-        title = "Comparison at the start design"
-        start = self._stage("comparison-0", title, self.evaluation.comparison, 0, service, service, ())
-        return GenerationRecord(service, service, stages={"initialisation": initial, "comparison": start})
+        self._compare("Comparison at the start design", 0, service, service, ())
+        return GenerationRecord(service, service, stages={"initialisation": initial})
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -189,16 +196,12 @@ class Generations:
         service, served = after_deployment(
             now, last.after, last.served, replaces=delivery["replaces"], carried=delivery["carried"]
         )
-        compared = self._stage(
-            f"comparison-{generation}", f"{title}: comparison", self.evaluation.comparison, generation, served.designed,
-            service, known,
-        )  # fmt: skip
+        self._compare(f"{title}: comparison", generation, served.designed, service, known)
         assert taught.discrepancy is not None
         discrepancy = taught.discrepancy
         returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
                               lambda _: self.evaluation.returns(served.designed, known, discrepancy))  # fmt: skip
-        stages = {"codesign": found, "deployment": deployed, "twin": learned, "comparison": compared,
-                  "evaluation": returns} | identified  # fmt: skip
+        stages = {"codesign": found, "deployment": deployed, "twin": learned, "evaluation": returns} | identified
         trust = Trust(**deployed.values["trust"])
         return taught, GenerationRecord(now.designed, service, delivery["replaces"], served, trust, stages)
 
@@ -245,17 +248,37 @@ class Generations:
                else {}),
         }  # fmt: skip
 
+    def _compare(self, title: str, generation: int, *inputs: Any) -> None:
+        """Begin the comparison of a generation, for which no other stage waits."""
+        compute = self.evaluation.comparison
+        self._compared.append(
+            self._begun(f"comparison-{generation}", title, compute, generation, *inputs, jobs=self._jobs)
+        )
+
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """Stage of a name, read back or computed."""
-        if self.folder.has(name):
-            self.echo(f"{label} … already finished")
-            return self.folder.read_stage(name)
-        self.echo(label)
-        start = time.perf_counter()
-        with telling(None if self.compute.progress else self.echo, label):
-            computed = compute(self.evaluation.rng(name), *inputs)
-        timed = replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
-        stage = self.folder.keep_stage(name, timed)
-        for line in stage.values.get("report", []):
+        finished = self.folder.has(name)
+        stage = self._begun(name, label, compute, *inputs)()
+        for line in [] if finished else stage.values.get("report", []):
             self.echo(f"    {line}")
         return stage
+
+    def _begun(
+        self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any, jobs: int = 1
+    ) -> Callable[[], Stage]:  # fmt: skip
+        """Way to ask for a stage, read back or computed."""
+        if self.folder.has(name):
+            self.echo(f"{label} … already finished")
+            return partial(self.folder.read_stage, name)
+        self.echo(label)
+        work = partial(compute, self.evaluation.rng(name), *inputs)
+        with telling(None if self.compute.progress else self.echo, label):
+            return begun(partial(_kept, self.folder, name), work, jobs=jobs)
+
+
+def _kept(folder: RunFolder, name: str, work: Callable[[], Stage]) -> Stage:
+    """Stage of a name, computed and written with its time."""
+    start = time.perf_counter()
+    computed = work()
+    seconds = time.perf_counter() - start
+    return folder.keep_stage(name, replace(computed, values=computed.values | {"seconds": seconds}))

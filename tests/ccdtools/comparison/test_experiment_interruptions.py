@@ -1,5 +1,6 @@
 """What an interruption leaves of an experiment, and what is taken for the same task."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -264,6 +265,17 @@ def test_a_process_that_dies_is_named(tmp_path):
 
     with pytest.raises(InputError, match=r"jobs: got a process that ended at .*, seed 0, or at what follows it"):
         found(LAWS | {"dies": dies}, seeds=1, jobs=2, folder=tmp_path)
+
+
+def test_a_law_that_cannot_be_sent_to_a_process_is_named(tmp_path):
+    @functools.cache
+    def kept():
+        return LinearFeedback([[GAIN]])
+
+    laws = LAWS | {"kept": lambda design, rng: kept()}
+    with pytest.raises(InputError, match=r"jobs: got what cannot be sent to a process \(.*pickle.*, expected jobs=1"):
+        found(laws, seeds=1, jobs=2, folder=tmp_path)
+    assert found(laws, seeds=1, folder=tmp_path)["kept"].value.mean == found(seeds=1)["LQR"].value.mean
 
 
 def still(noise=None, C=None, reference=None, w=None):
