@@ -34,7 +34,7 @@ from ccdtools.twin.pieces import joined
 from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, block_parts, errors_of, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
-from ccdtools.twin.trial import TrialConfig, best_predictor, switchback_on
+from ccdtools.twin.trial import switchback_on
 from ccdtools.twin.updated_plant import UpdatedPlant
 from ccdtools_ground.door import as_floats, as_generator, as_instance
 from invariant_sets import AdmissibleInputs
@@ -181,7 +181,6 @@ class _DeployedPolicy:
     def __post_init__(self) -> None:
         config = self.config
         self.candidate: Deployable | None = None  # on trial
-        self.first = self.deployed.controller(self.admissible)
         self.coins = self.rng if config.trial is None else self.rng.spawn(1)[0]
         self.problem = self.served.problem
         self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
@@ -235,21 +234,13 @@ class _DeployedPolicy:
         tried = switchback_on(
             self.problem, self.whole.plant, law, self.candidate.controller(self.admissible), self.deployed.design,
             x0=x0, disturbance=w, rng=self.coins, config=self.config.trial, before=update.trial,
-            model=self._predictor(self.candidate.controller(self.admissible), self.config.trial),
+            model=identified_plant(self.problem, [piece for piece in self.pieces if not piece.diverged.all()]),
         )  # fmt: skip
         self.updates[-1] = replace(update, trial=tried.trial, ended=self._logged + tried.samples)
         if tried.trial.status is not TrialStatus.UNDECIDED:
             self.deployed = self.candidate if self.updates[-1].accepted else self.deployed
             self.candidate = None
         return tried.log
-
-    def _predictor(self, candidate: Controller, config: TrialConfig | None) -> Simulable:
-        """Model for a trial, as it predicts the first piece."""
-        assert config is not None
-        logged = [piece for piece in self.pieces if not piece.diverged.all()]
-        models = [self.problem.model, identified_plant(self.problem, logged)]
-        block = config.block + config.washout
-        return best_predictor(self.problem, models, self.first, candidate, logged[0], block)
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
         """Add the errors of a piece after so many runs; False if too little is left."""

@@ -74,11 +74,12 @@ def switchback_on(
 ) -> TriedDeployment:  # fmt: skip
     """Deployment on a real plant with the trial of a candidate.
 
-    Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. From
-    every return is subtracted the mean of what a model returns under either law on the same disturbance. That is fixed
-    before the coin falls, so the decision rests on the real plant however wrong the model is; the better it is, the
-    more of what both laws meet alike goes out, and the sooner a trial ends. A law with memory begins afresh in every
-    block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
+    Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. What
+    models predict of a pair, the mean under both laws on the same disturbance, is taken out of its gain as far as it
+    explains the returns of the first 20 pairs, whoever drove: so a trial ends the sooner the better a model is, and the
+    decision rests on the real plant however wrong it is. The margin is a part of the returns of these pairs. A law with
+    memory begins afresh in every block. Pairs in which the law in service loses the run are left out, and a candidate
+    that loses one is rejected.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def switchback_on(
     before : Trial, optional
         An undecided trial that goes on.
     model : Plant, or anything else that `simulate` takes, optional
-        What predicts the returns; the nominal model by default, `identified_plant` of a former log is better.
+        What predicts the returns beside the nominal model, such as `identified_plant` of a former log.
 
     Raises
     ------
@@ -104,61 +105,49 @@ def switchback_on(
     as_seen_problem(problem)
     as_generator("rng", rng)
     blocks = _Blocks(problem, Scenario(plant, x0, disturbance), problem.design.check_one(design), config, rng)
-    predicted = replace(blocks.whole, plant=problem.model if model is None else model)
     pairs = config.pairs(*blocks.whole.disturbance.shape[:2])
     if before is None and pairs < FEWEST_PAIRS:
         raise InputError("disturbance", f"room for {pairs} pairs of blocks", f"at least {FEWEST_PAIRS}")
     laws = (current, candidate)
-    expected = [blocks.expected(predicted, law) for law in laws]
-    common = np.mean(expected, axis=0)
+    models = [problem.model] if model is None else [problem.model, model]
+    predicted = np.column_stack([blocks.predicted(one, laws) for one in models])
     trial = before
     if trial is None:
-        size = problem.objective.made_by_control(expected[0].mean(), blocks.design, blocks.counted)
-        trial = Trial([], config.margin * float(size), config.level)
+        trial = Trial([], config.margin * (blocks.size(predicted[:, 0].mean()) or 1.0), config.level)
+    elif np.size(trial.slopes) not in (1, len(models)):
+        raise InputError("model", f"{len(models)} with the nominal one", f"{np.size(trial.slopes)}, as the trial began")
+    earlier = trial.gains
+    driven: list[tuple[int, list[float], Array]] = []
     pieces: list[Trajectory] = []
     while len(pieces) < 2 * pairs and trial.status is TrialStatus.UNDECIDED:
-        returns = np.zeros(2)
-        lost: list[int] = []
-        for law in rng.permutation(2):
+        order = rng.permutation(2)
+        for law in order:
             pieces.append(blocks.drive(laws[law], pieces))
-            returns[law] = blocks.returned(pieces[-1]) - common[len(pieces) - 1]
-            lost += [int(law)] * bool(pieces[-1].diverged.any())
-        gains = trial.gains if lost else np.append(trial.gains, returns[1] - returns[0])
-        trial = replace(trial, gains=gains, lost=lost[:1] == [1])
+        lost = [int(law) for law, piece in zip(order, pieces[-2:]) if piece.diverged.any()]
+        if lost:
+            trial = replace(trial, lost=lost[0] == 1)
+            continue
+        driven.append((order[1] - order[0], [blocks.returned(piece) for piece in pieces[-2:]],
+                       np.diff(predicted[len(pieces) - 2 : len(pieces)], axis=0)[0]))  # fmt: skip
+        turns, returns, foretold = (np.array(one) for one in zip(*driven))
+        changes = np.diff(returns)[:, 0]  # whoever drove first
+        if len(trial.gains) < FEWEST_PAIRS:  # nothing is decided yet
+            margin = config.margin * blocks.size(returns.mean())
+            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, foretold))
+        most = np.maximum.accumulate(np.abs(changes))
+        explained = np.clip((foretold * trial.slopes).sum(axis=1), -most, most)
+        trial = replace(trial, gains=np.append(earlier, turns * (changes - explained)))
     samples = len(pieces) * blocks.length
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
     return TriedDeployment(trial, log, samples)
 
 
-def best_predictor(
-    problem: CoDesignProblem, models: Sequence[Simulable], law: Controller, candidate: Controller, log: Trajectory,
-    block: int,
-) -> Simulable:  # fmt: skip
-    """Model that predicts a log's blocks best.
-
-    What it leaves of their returns under the law of the log varies least. One by which those of the candidate vary
-    twice as much as what was logged could take nothing out of a trial, and is left out; the first model stands where
-    all are.
-    """
-    kept = ~log.diverged
-    real = log.rewards(problem.objective)[kept]
-    length = real.shape[1] if len(log.states) > 1 else min(block, real.shape[1])
-
-    def spread(rewards: Array) -> float:
-        """Standard deviation of blocks."""
-        return float(rewards[:, : rewards.shape[1] // length * length].reshape(-1, length).sum(axis=1).std())
-
-    def deviation(model: Simulable) -> float:
-        """What a model leaves; infinite where it tells nothing."""
-        scenario = Scenario(model, log.states[kept, 0], log.disturbances[kept])
-        own, other = (
-            scenario.run(one, design=log.design, limit=problem.limit).rewards(problem.objective)
-            for one in (law, candidate)
-        )
-        return spread(own - real) if spread(other) <= 2 * spread(real) else np.inf
-
-    return min(models, key=deviation)
+def _explained(changes: Array, foretold: Array) -> Array:
+    """Slopes (models,) of what models foretell of changes, by least squares."""
+    units = np.abs(foretold).max(axis=0)
+    units[units == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(foretold / units, changes, rcond=None)[0] / units)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,12 +175,18 @@ class _Blocks:
         """Steps of a block with its washout."""
         return self.whole.steps if self.several else self.config.block + self.config.washout
 
-    def expected(self, predicted: Scenario, law: Controller) -> Array:
-        """Returns (blocks,) of a law on a model."""
-        run = predicted.run(law, design=self.design, limit=self.problem.limit)
-        rewards = run.rewards(self.problem.objective)
+    def size(self, value: float) -> float:
+        """Size of a block's return, without the design cost."""
+        return float(self.problem.objective.made_by_control(value, self.design, self.counted))
+
+    def predicted(self, model: Simulable, laws: Sequence[Controller]) -> Array:
+        """Mean returns (blocks,) of laws on a model; 0 where it loses them."""
+        whole = replace(self.whole, plant=model)
+        runs = [whole.run(law, design=self.design, limit=self.problem.limit) for law in laws]
+        rewards = np.mean([run.rewards(self.problem.objective) for run in runs], axis=0)
         blocks = rewards[:, : rewards.shape[1] // self.length * self.length].reshape(-1, self.length)
-        return np.asarray(blocks[:, -self.counted :].sum(axis=1))
+        returns = blocks[:, -self.counted :].sum(axis=1)
+        return np.where(np.isfinite(returns), returns, 0.0)
 
     def returned(self, piece: Trajectory) -> float:
         """Return of a block, without its washout."""

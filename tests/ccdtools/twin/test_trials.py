@@ -187,6 +187,44 @@ def test_a_trial_that_predicts_with_its_log_is_decided_where_the_nominal_model_l
     assert trials[1].status.value != "undecided"
 
 
+def gusty(size, share=1.1):
+    """The plant with disturbances of another size."""
+    own = plant(share)
+    return replace(own, dynamics=ca.substitute(own.dynamics, own.w, size * own.w))
+
+
+@pytest.mark.parametrize("size", [0.1, 10.0])
+def test_the_margin_is_a_part_of_what_the_real_plant_returns(problem, size):
+    """By a model with other gusts it was 100 times as much, and a law that is better by far stayed undecided."""
+    wrong = replace(problem, model=discretise(gusty(size)))
+    found = tried(wrong, BETTER).trial
+    block = (
+        -simulate(
+            plant(1.1),
+            SERVED,
+            x0=X0,
+            steps=400,
+            disturbance=Gaussian([0.1, 0.1]).sample(20, 400, np.random.default_rng(15)),
+            design=[1.0],
+        )
+        .returns(problem.objective)
+        .mean()
+        / 10
+    )
+    assert found.status.value == "adopted"
+    assert 0.005 * block * 0.4 < found.margin < 0.005 * block * 1.2
+
+
+@pytest.mark.parametrize("share", [-1.0, 40.0])
+def test_a_model_that_foretells_nothing_does_not_harm_a_trial(problem, share):
+    right, wrong = (tried(problem, BETTER, model=plant(one)).trial for one in (1.1, share))
+    assert wrong.status.value == "adopted"
+    assert (
+        wrong.gains[:20].std() < 1.5 * tried(replace(problem, model=discretise(gusty(0.0))), BETTER).trial.gains.std()
+    )
+    assert right.pairs <= wrong.pairs
+
+
 def test_logs_that_tell_no_plant_are_named(problem):
     log = logged(problem)
     with pytest.raises(InputError, match="3 disturbances"):

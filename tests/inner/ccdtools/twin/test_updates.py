@@ -13,7 +13,7 @@ from ccdtools.statistics import PairedDifference
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.distributions import BOX, NOMINAL, REPLAY, START, UPDATED
 from ccdtools.twin.judge import Judge
-from ccdtools.twin.trial import TrialConfig, switchback_on
+from ccdtools.twin.trial import TrialConfig
 from learning.quantile import QuantileConfig
 
 
@@ -93,27 +93,12 @@ class Elsewhere:
         return np.where(np.linalg.norm(x, axis=1, keepdims=True) < self.radius, near, far)
 
 
-def test_a_trial_of_a_candidate_predicts_with_the_better_of_the_model_and_what_was_logged(
-    illustrative, clone, monkeypatch
-):
+def test_a_trial_is_told_little_by_a_log_that_runs_away_under_the_candidate(illustrative, clone, monkeypatch):
     training_gives(monkeypatch, clone(illustrative))
-    known = []
-
-    def spy(*args, model, **keywords):
-        known.append(model)
-        return switchback_on(*args, model=model, **keywords)
-
-    monkeypatch.setattr("ccdtools.twin.deployment.switchback_on", spy)
     config = replace(ONLINE, updates=1, judged=100, trial=TrialConfig())
     done = deployed(illustrative, weakened(clone(illustrative)), runs=80, steps=40, config=config)
     (update,) = done.updates
-    assert np.abs(update.trial.gains).max() < 100  # what the log of the weak policy tells runs away under the candidate
-    assert known[0] is illustrative.model
-    known.clear()
-    good, better = clone(illustrative), weakened(clone(illustrative), 1.02)
-    training_gives(monkeypatch, better)
-    deployed(illustrative, good, runs=80, steps=40, config=replace(config, least=0.0))
-    assert all(hasattr(model, "change") for model in known)
+    assert np.abs(update.trial.gains).max() < 100
 
 
 @pytest.mark.check
