@@ -79,7 +79,7 @@ def as_they_end(
 
 
 def begun(function: Callable[[Any], Any], item: Any, *, jobs: int) -> Callable[[], Any]:
-    """Way to ask for a function's value, found now, or beside what follows."""
+    """Function's value, asked for when it is needed."""
     if jobs == 1:
         value = function(item)
         return lambda: value

@@ -249,7 +249,7 @@ class Generations:
         }  # fmt: skip
 
     def _compare(self, title: str, generation: int, *inputs: Any) -> None:
-        """Begin the comparison of a generation, for which no other stage waits."""
+        """Begin a comparison, for which no stage waits."""
         compute = self.evaluation.comparison
         self._compared.append(
             self._begun(f"comparison-{generation}", title, compute, generation, *inputs, jobs=self._jobs)
@@ -266,7 +266,7 @@ class Generations:
     def _begun(
         self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any, jobs: int = 1
     ) -> Callable[[], Stage]:  # fmt: skip
-        """Way to ask for a stage, read back or computed."""
+        """Stage, asked for when it is needed."""
         if self.folder.has(name):
             self.echo(f"{label} … already finished")
             return partial(self.folder.read_stage, name)
@@ -277,7 +277,7 @@ class Generations:
 
 
 def _kept(folder: RunFolder, name: str, work: Callable[[], Stage]) -> Stage:
-    """Stage of a name, computed and written with its time."""
+    """Stage computed and written, with its time."""
     start = time.perf_counter()
     computed = work()
     seconds = time.perf_counter() - start

@@ -144,7 +144,7 @@ def switchback_on(
 
 
 def _explained(changes: Array, foretold: Array) -> Array:
-    """Slopes (models,) of what models foretell of changes, by least squares."""
+    """Slopes (models,) of foretold changes, by least squares."""
     units = np.abs(foretold).max(axis=0)
     units[units == 0] = 1.0
     return np.asarray(np.linalg.lstsq(foretold / units, changes, rcond=None)[0] / units)
@@ -180,7 +180,7 @@ class _Blocks:
         return float(self.problem.objective.made_by_control(value, self.design, self.counted))
 
     def predicted(self, model: Simulable, laws: Sequence[Controller]) -> Array:
-        """Mean returns (blocks,) of laws on a model; 0 where it loses them."""
+        """Mean returns (blocks,) of laws; 0 if lost."""
         whole = replace(self.whole, plant=model)
         runs = [whole.run(law, design=self.design, limit=self.problem.limit) for law in laws]
         rewards = np.mean([run.rewards(self.problem.objective) for run in runs], axis=0)
