@@ -34,7 +34,7 @@ def published() -> None:
         apart = np.abs(found.p / case.p - 1).max()
         values = ", ".join(f"{value:.5g}" for value in found.p)
         print(
-            f"| {name} | {2 * found.solution.cost:.8g} | {case.residuals} | {values} | {apart:.0e} "
+            f"| {name} | {found.residual_variance * found.degrees:.8g} | {case.residuals} | {values} | {apart:.0e} "
             f"| {found.solution.iterations} | {seconds:.2f} | {found.status.name} |"
         )
 

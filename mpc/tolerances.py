@@ -150,6 +150,7 @@ TOLD_APART = 1e-8
 # Standard deviation of a combination, in sizes of the parameters, above which the data leave it open [-]
 TOLD = 1.0
 NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a parameter is not named [-]
+SUPPOSED_NOISE = 0.01  # Deviation of unknown noise, beside that of the outputs, before it is estimated [-]
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]

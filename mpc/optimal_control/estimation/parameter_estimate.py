@@ -49,7 +49,8 @@ class ParameterEstimate:
         First states.
     status : EstimationStatus
     solution : Solution
-        Trajectories, one phase an experiment, with the solver's own status.
+        Trajectories, one phase an experiment, with the solver's own status; its cost is that of a supposed noise where
+        none was given.
     covariance : (np, np) array
         Of p, along the constraints that act, by the linearised residuals: 0 for what is held, infinite variances where
         the data tell nothing; NaN if UNSOLVED.
@@ -120,8 +121,12 @@ def in_words(combination: dict[str, float]) -> str:
 
 
 def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Function, known: Information | None,
-                noise_known: bool) -> ParameterEstimate:  # fmt: skip
-    """Estimate from a solution, NaN where an unsolved one tells nothing."""
+                unit: float | None) -> ParameterEstimate:  # fmt: skip
+    """Estimate from a solution, NaN where an unsolved one tells nothing.
+
+    Of unknown noise the cost is in squares of `unit`.
+    """
+    noise_known = unit is None
     program = solution.program
     firsts = np.stack([part.first + np.arange(part.layout.nx) for part in program.parts])
     residuals = []
@@ -156,5 +161,6 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
         told = np.nan_to_num(known.modes[0] / deviation, nan=0.0, posinf=np.inf)
     if solution.status is not OptimalControlStatus.SOLVED:
         status = EstimationStatus.COARSE
+    variance *= 1.0 if unit is None else unit**2
     return ParameterEstimate(*common, status, solution, covariance, starts, tuple(residuals), float(variance), degrees,
                              noise_known, told, open_)  # fmt: skip

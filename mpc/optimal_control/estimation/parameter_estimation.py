@@ -21,7 +21,7 @@ from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
-from mpc.tolerances import NEGLIGIBLE
+from mpc.tolerances import NEGLIGIBLE, SUPPOSED_NOISE
 
 
 def estimate_parameters(
@@ -51,7 +51,7 @@ def estimate_parameters(
         Where to start from, and the size of parameters that turn out to be 0; the middle of the bounds by default.
     noise : (ny, ny) or (ny,) array, optional
         Covariance of the noise of one row of outputs, or its variances. By default all outputs have the same variance,
-        which is estimated.
+        which is estimated; until then it is supposed to be a hundredth of their deviation, squared.
     disturbance : (nw, nw) or (nw,) array, optional
         Spectral density of white noise w [its unit² s], whose most likely course is found with p: their joint maximum.
     x_bounds : (lower, upper), optional
@@ -87,7 +87,8 @@ def estimate_parameters(
     sizes = {"x": states, "u": nu, "w": len(density), "p": len(bounds[0]), "t": 1}
     f = moved_by_noise("dynamics", compiled("dynamics", dynamics, sizes, states))
     h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
-    covariance = np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
+    unit = SUPPOSED_NOISE * _spread(given)
+    covariance = unit**2 * np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
     s = symbols_of(h)
     y = type(s["x"]).sym("y", ny * (1 + ny))  # rows of `whitened`
     value = ca.densify(ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny]))
@@ -104,7 +105,16 @@ def estimate_parameters(
     _check_count(problem, given, 0 if noise is not None else 1)
     solution = refine(problem, **({"intervals": 1} | options))
     known = information(solution, residual) if solution.solved_on_mesh else None
-    return estimate_of(solution, given, h, known, noise is not None)
+    return estimate_of(solution, given, h, known, None if noise is not None else unit)
+
+
+def _spread(given: Sequence[Experiment]) -> float:
+    """Deviation of the outputs from their means; from 0 or 1 where there is none."""
+    every = np.vstack([one.outputs for one in given])
+    outputs = [column[~np.isnan(column)] for column in every.T]
+    means = [np.full(len(column), column.mean() if len(column) else 0.0) for column in outputs]
+    sizes = (np.linalg.norm(np.concatenate(outputs) - about) for about in (np.concatenate(means), 0.0))
+    return float(next(filter(None, sizes), 1.0) / np.sqrt(sum(map(len, outputs))))
 
 
 def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:
