@@ -19,6 +19,7 @@ from ccdtools.scenario import Scenario
 from ccdtools.simulation import simulate
 from ccdtools.tolerances import FEWEST_PAIRS, NOT_WORSE
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.identified import identified_plant
 from ccdtools.twin.pieces import joined
 from ccdtools_ground.door import as_count, as_generator, as_instance, as_number, as_share
 
@@ -65,6 +66,7 @@ class TriedDeployment(Immutable):
     trial: Trial
     log: Trajectory
     samples: int  # of all runs, that the trial took
+    model: Simulable | None = None  # what foretold beside the nominal model
 
 
 def switchback_on(
@@ -92,9 +94,10 @@ def switchback_on(
     disturbance : (T, nw) or (n, T, nw) array_like
         As recorded: the model meets it, too.
     before : Trial, optional
-        An undecided trial that goes on.
+        An undecided trial that goes on, with the `model` of its deployment.
     model : Plant, or anything else that `simulate` takes, optional
-        What predicts the returns beside the nominal model, such as `identified_plant` of a former log.
+        What predicts the returns beside the nominal model, such as `identified_plant` of a former log; by default that
+        of the first 20 pairs.
 
     Raises
     ------
@@ -109,15 +112,14 @@ def switchback_on(
     if before is None and pairs < FEWEST_PAIRS:
         raise InputError("disturbance", f"room for {pairs} pairs of blocks", f"at least {FEWEST_PAIRS}")
     laws = (current, candidate)
-    models = [problem.model] if model is None else [problem.model, model]
-    predicted = np.column_stack([blocks.predicted(one, laws) for one in models])
+    foretold = [blocks.predicted(one, laws) for one in (problem.model, model) if one is not None]
     trial = before
     if trial is None:
-        trial = Trial([], config.margin * (blocks.size(predicted[:, 0].mean()) or 1.0), config.level)
-    elif np.size(trial.slopes) not in (1, len(models)):
-        raise InputError("model", f"{len(models)} with the nominal one", f"{np.size(trial.slopes)}, as the trial began")
+        trial = Trial([], config.margin * (blocks.size(foretold[0].mean()) or 1.0), config.level)
+    elif np.size(trial.slopes) not in (1, len(foretold)):
+        raise InputError("model", "none", "the model that the trial began with", "See `TriedDeployment.model`.")
     earlier = trial.gains
-    driven: list[tuple[int, list[float], Array]] = []
+    driven: list[tuple[int, int, list[float]]] = []  # first block of a pair, whose it is, and returns
     pieces: list[Trajectory] = []
     while len(pieces) < 2 * pairs and trial.status is TrialStatus.UNDECIDED:
         order = rng.permutation(2)
@@ -127,27 +129,31 @@ def switchback_on(
         if lost:
             trial = replace(trial, lost=lost[0] == 1)
             continue
-        driven.append((order[1] - order[0], [blocks.returned(piece) for piece in pieces[-2:]],
-                       np.diff(predicted[len(pieces) - 2 : len(pieces)], axis=0)[0]))  # fmt: skip
-        turns, returns, foretold = (np.array(one) for one in zip(*driven))
+        driven.append((len(pieces) - 2, order[1] - order[0], [blocks.returned(piece) for piece in pieces[-2:]]))
+        firsts, turns, returns = (np.array(one) for one in zip(*driven))
+        undecided = len(trial.gains) < FEWEST_PAIRS
+        if undecided and model is None and len(earlier) + len(driven) == FEWEST_PAIRS:
+            model = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
+            foretold.append(blocks.predicted(model, laws))
         changes = np.diff(returns)[:, 0]  # whoever drove first
-        if len(trial.gains) < FEWEST_PAIRS:  # nothing is decided yet
+        expected = np.column_stack([one[firsts + 1] - one[firsts] for one in foretold])
+        if undecided:
             margin = config.margin * blocks.size(returns.mean())
-            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, foretold))
-        most = np.maximum.accumulate(np.abs(changes))
-        explained = np.clip((foretold * trial.slopes).sum(axis=1), -most, most)
+            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, expected))
+        most = np.maximum(np.maximum.accumulate(np.abs(changes)), np.abs(changes[:FEWEST_PAIRS]).max())
+        explained = np.clip((expected * trial.slopes).sum(axis=1), -most, most)
         trial = replace(trial, gains=np.append(earlier, turns * (changes - explained)))
     samples = len(pieces) * blocks.length
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
-    return TriedDeployment(trial, log, samples)
+    return TriedDeployment(trial, log, samples, model)
 
 
-def _explained(changes: Array, foretold: Array) -> Array:
-    """Slopes (models,) of foretold changes, by least squares."""
-    units = np.abs(foretold).max(axis=0)
+def _explained(changes: Array, expected: Array) -> Array:
+    """Slopes (models,) of expected changes, by least squares."""
+    units = np.abs(expected).max(axis=0)
     units[units == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(foretold / units, changes, rcond=None)[0] / units)
+    return np.asarray(np.linalg.lstsq(expected / units, changes, rcond=None)[0] / units)
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,12 +51,12 @@ def problem():
     )  # fmt: skip
 
 
-def tried(problem, candidate, steps=3000, seed=0, served=SERVED, **options):
+def tried(problem, candidate, steps=3000, seed=0, served=SERVED, margin=0.005, **options):
     rng = np.random.default_rng(seed)
     w = Gaussian([0.1, 0.1]).sample(1, steps, rng)[0]
     return switchback_on(
         problem, plant(1.1), served, candidate, [1.0], x0=X0, disturbance=w, rng=rng,
-        config=TrialConfig(block=40, washout=10), **options,
+        config=TrialConfig(block=40, washout=10, margin=margin), **options,
     )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def test_a_law_that_loses_the_run_is_rejected_at_once(problem):
 
 def test_a_model_that_is_right_takes_noise_out_of_the_trial(problem):
     near = LinearFeedback(0.2 * BETTER.K)
-    spread = [tried(problem, near, model=model).trial.gains.std() for model in (None, plant(1.1))]
+    spread = [tried(problem, near, model=model).trial.gains.std() for model in (plant(1.0), plant(1.1))]
     assert spread[1] < spread[0]
 
 
@@ -174,17 +174,31 @@ def test_a_plant_identified_from_a_log_predicts_the_real_one_whatever_disturbs_i
         assert np.abs(own - real).max() < 0.01 * np.abs(nominal - real).max()
 
 
-def test_a_trial_that_predicts_with_its_log_is_decided_where_the_nominal_model_leaves_it_open(problem):
+def test_a_trial_that_predicts_with_a_log_or_its_own_is_decided_where_the_nominal_model_leaves_it_open(problem):
     near = LinearFeedback(0.9 * BETTER.K)
-    rng = np.random.default_rng(13)
-    w = Gaussian([0.1, 0.1]).sample(1, 3000, rng)[0]
-    trials = [switchback_on(
+    w = Gaussian([0.1, 0.1]).sample(1, 3000, np.random.default_rng(13))[0]
+    logs = identified_plant(problem, logged(problem, BETTER))
+    nominal, own, with_log = (switchback_on(
         problem, plant(1.3), BETTER, near, [1.0], x0=X0, disturbance=w, rng=np.random.default_rng(14),
         config=TrialConfig(block=40, washout=10), model=model,
-    ).trial for model in (None, identified_plant(problem, logged(problem, BETTER)))]  # fmt: skip
-    assert trials[1].gains.std() < 0.5 * trials[0].gains.std()
-    assert trials[0].status.value == "undecided"
-    assert trials[1].status.value != "undecided"
+    ) for model in (plant(1.0), None, logs))  # fmt: skip
+    assert nominal.trial.status.value == "undecided"
+    for found in (own, with_log):
+        assert found.trial.gains.std() < 0.5 * nominal.trial.gains.std()
+        assert found.trial.status.value != "undecided"
+    assert with_log.model is logs
+    assert own.model is not None
+
+
+def test_a_trial_goes_on_with_the_model_that_it_began_with(problem):
+    fine = {"candidate": LinearFeedback(0.99 * BETTER.K), "served": BETTER, "margin": 1e-6, "steps": 2000}
+    first = tried(problem, **fine)
+    assert first.trial.status.value == "undecided"
+    further = tried(problem, **fine, before=first.trial, model=first.model, seed=1)
+    assert len(further.trial.gains) > 20
+    np.testing.assert_array_equal(further.trial.slopes, first.trial.slopes)
+    with pytest.raises(InputError, match="model: got none, expected the model that the trial began with"):
+        tried(problem, **fine, before=first.trial)
 
 
 def gusty(size, share=1.1):
