@@ -105,7 +105,7 @@ class Excursions(Immutable):
             if n > 1 or steps < STRETCHES:
                 return cls.from_depths(by_row, texts, left, lost=run.diverged)
             length = min(100, steps // STRETCHES)  # samples of a stretch
-            cut = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
+            cut = by_row[0, : steps // length * length].reshape(steps // length, length, by_row.shape[-1])
             return cls.from_depths(cut, texts, left, lost=np.repeat(run.diverged, len(cut)), single=True)
 
         return whole, tuple(pieces(*kind) for kind in (together, *kinds * (len(kinds) > 1)))

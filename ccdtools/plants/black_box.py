@@ -191,8 +191,8 @@ def from_gymnasium(
             build(inner, design.project(design.centre))
         except Exception as error:
             raise stopped("build", build, error, "a function (env, p) that gives the environment a design") from error
-    told = content_of((inner, read, write, build))  # what it holds before its first step
-    advance = _EnvironmentStep(env, read, write, build, told)
+    advance = _EnvironmentStep(env, read, write, build, design.project(design.centre))
+    before = advance.told()
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
     taken = env.action_space.low, env.action_space.high
     box = BlackBox(advance, len(x), len(u), dt, design=design, step_limit=step_limit, input_bounds=taken)
@@ -204,18 +204,20 @@ def from_gymnasium(
     if not np.array_equal(x, back := _read(read, inner)):
         raise InputError("write", f"a state {shown(back)} where {shown(x)} was written", "the same state, (nx,)")
     _tell_idle(box, x, env.action_space)
-    return box
+    changed = [name for name, held in advance.told().items() if before.get(name, "new") not in (held, "")]
+    return replace(box, advance=replace(advance, changed=frozenset(changed)))
 
 
 @dataclass(frozen=True, eq=False)
 class _EnvironmentStep:
-    """Step of an environment from any state, known by the content of what was given."""
+    """Step of an environment from any state."""
 
     env: Any
     read: Callable[[Any], ArrayLike]
     write: Callable[[Any, Array], None]
     build: Callable[[Any, Array], None] | None
-    told: str
+    centre: Array
+    changed: frozenset[str] = frozenset()
 
     def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
@@ -229,9 +231,21 @@ class _EnvironmentStep:
             raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
         return _read(self.read, inner)
 
-    def as_given(self) -> tuple[str]:
-        """Content of the environment before its first step."""
-        return (self.told,)
+    def as_given(self) -> tuple[Any, ...]:
+        """Class, functions, and what steps leave as it is."""
+        held = {name: value for name, value in sorted(self._held().items()) if name not in self.changed}
+        return type(self.env.unwrapped), held, self.read, self.write, self.build
+
+    def told(self) -> dict[str, str]:
+        """Content of attributes, empty where not told."""
+        once, again = ({name: content_of(held) for name, held in self._held().items()} for _ in range(2))
+        return {name: content if content == again[name] else "" for name, content in once.items()}
+
+    def _held(self) -> dict[str, Any]:
+        """Attributes at one design."""
+        if self.build is not None:
+            self.build(self.env.unwrapped, self.centre)
+        return getattr(self.env.unwrapped, "__dict__", {})
 
 
 def _tell_idle(box: BlackBox, x: Array, actions: Any) -> None:
@@ -274,9 +288,9 @@ def _begun(env: Any) -> Any:
     """Unwrapped environment after a reset, if it has a box of actions."""
     actions = getattr(env, "action_space", None)
     box = hasattr(env, "unwrapped") and hasattr(actions, "low") and len(actions.shape) == 1  # type: ignore[union-attr]
-    if not box or isinstance(env, type):
+    if not box or isinstance(env, type) or actions.dtype.kind != "f":  # type: ignore[union-attr]
         got = shown(env) if actions is None or isinstance(env, type) else f"an environment with the actions {actions}"
-        raise InputError("env", got, "a Gymnasium environment with a box of actions (nu,), such as by gymnasium.make")
+        raise InputError("env", got, "a Gymnasium environment with a box of float actions, such as by gymnasium.make")
     if env.unwrapped.action_space != actions:
         got = f"a wrapper that makes the actions {actions} of {env.unwrapped.action_space}"
         raise InputError("env", got, "an environment as it is", "Pass env.unwrapped, whose actions are the inputs.")

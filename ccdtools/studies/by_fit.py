@@ -24,7 +24,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.budgets import REAL_RUNS
-from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.real_plant import RealPlant, check_disturbance
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.identified import IdentifiedChange, check_changeable, identified_change, identified_lqr
 from ccdtools.twin.limits_kept import violation
@@ -128,10 +128,11 @@ def fitted_generations(
     squares (`identified_change`), is designed for again, a learned policy from the one in service on. The redesign is
     tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service if, on the drives of
     deployments and on each that is held out (`RealPlant.held_out`), it breaks no limit and is no worse beyond chance,
-    nor loses more runs: than what was deployed before, and than an update of it. Where states are logged that is LQR of
-    the affine model that they tell at the former design (`identified_lqr`), where outputs are the former law behind the
-    filter of the plant that they tell, if it is better as deployed beyond chance, no worse elsewhere, and breaks no
-    limit. A redesign for a fit that is LASTING or OPEN must be better so, too.
+    nor loses more runs: than what was deployed before, and than an update of it. A recording leaves nothing to chance.
+    Where states are logged that update is LQR of the affine model that they tell at the former design
+    (`identified_lqr`), where outputs are the former law behind the filter of the plant that they tell, if it is better
+    as deployed beyond chance, no worse elsewhere, and breaks no limit. A redesign for a fit that is LASTING or OPEN
+    must be better so, too.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
@@ -217,6 +218,10 @@ class _Deployments:
     problem: CoDesignProblem
     real: RealPlant
     sensors: Any
+
+    def __post_init__(self) -> None:
+        for name, drive in (self.real.held_out or {}).items():
+            check_disturbance(f"real.held_out[{name!r}]", drive, self.real.plant, self.real.steps)
 
     def scenario(self, runs: int, seed: int, drive: Disturbance) -> Scenario:
         """So many runs of a drive, the same by the same seed."""

@@ -119,17 +119,18 @@ class RealPlant(Immutable):
         return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
 
 
-def check_disturbance(argument: str, disturbance: Disturbance, plant: Simulable) -> None:
-    """Raise unless samples of the disturbance have the plant's channels."""
+def check_disturbance(argument: str, disturbance: Disturbance, plant: Simulable, steps: int = 2) -> None:
+    """Raise unless samples have the plant's channels."""
     has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
     try:
-        drawn = np.asarray(disturbance.sample(1, 2, np.random.default_rng(0)))
-    except InputError:
-        raise
+        drawn = np.asarray(disturbance.sample(1, steps, np.random.default_rng(0)))
+    except InputError as error:
+        raise InputError(f"{argument}: {error.argument}", error.got, error.expected, error.cure) from None
     except Exception as error:
-        reason = f"a {type(disturbance).__name__} whose sample(1, 2, rng) stops with {type(error).__name__}: {error}"
-        raise InputError(argument, " ".join(reason.split()), f"samples of shape (1, 2, {plant.nw})") from error
-    if drawn.shape != (1, 2, plant.nw):
+        stops = f"stops with {type(error).__name__}: {error}"
+        reason = f"a {type(disturbance).__name__} whose sample(1, {steps}, rng) {stops}"
+        raise InputError(argument, " ".join(reason.split()), f"samples of shape (1, {steps}, {plant.nw})") from error
+    if drawn.shape != (1, steps, plant.nw):
         got = f"samples of shape {drawn.shape}"
         if drawn.ndim == 3:
             got = f"{drawn.shape[2]} channel{'' if drawn.shape[2] == 1 else 's'}"

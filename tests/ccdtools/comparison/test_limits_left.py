@@ -62,6 +62,8 @@ def test_states_or_inputs_without_limits_are_never_outside(X, U, word):
     assert scores["LQR"].violations == 0
     assert scores["LQR"].exceeded == ""
     assert excursions([[1e9], [0.0]], Polytope.from_bounds([-np.inf], [np.inf])).exceeded == ""
+    one = replace(drawn(np.random.default_rng(5)), x0=[[1.0]], disturbance=np.zeros((1, 40, 1)))  # cut into stretches
+    assert compare(laws, one, objective=OBJECTIVE, **limits)["LQR"].violations == 0
 
 
 def test_rows_of_U_are_named_after_it():

@@ -29,6 +29,7 @@ from ccdtools import (
 )
 from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import BlackBox, from_gymnasium
+from ccdtools_ground.content import content_of
 
 A, B, E = np.array([[1.0, 0.1], [-0.2, 0.95]]), np.array([[0.0], [0.1]]), np.array([[0.0], [0.05]])
 
@@ -279,7 +280,9 @@ def test_what_cannot_be_an_environment_is_refused():
     with pytest.raises(InputError, match=r"env, write: got .* after one step from one state"):
         pendulum(write=lambda env, x: None)
     gymnasium = pytest.importorskip("gymnasium")
-    with pytest.raises(InputError, match=r"env: got an environment with the actions Discrete\(2\), .*box of actions"):
+    with pytest.raises(
+        InputError, match=r"env: got an environment with the actions Discrete\(2\), .*box of float actions"
+    ):
         from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
 
 
@@ -381,6 +384,30 @@ def test_a_design_that_acts_late_or_stops_the_environment_is_not_called_idle():
     for upper in (2.0, 9.0):
         box = DesignSpace(["gain"], [0.5], [upper])
         from_gymnasium(Chain(), design=box, build=lambda env, p: setattr(env, "gain", p[0]))
+
+
+def test_an_environment_of_whole_number_actions_is_refused():
+    gymnasium = pytest.importorskip("gymnasium")
+    env = gymnasium.make("Pendulum-v1").unwrapped
+    env.action_space = gymnasium.spaces.Box(-3, 3, (1,), np.int32)
+    with pytest.raises(InputError, match=r"env: got an environment with the actions .*int32.*float actions"):
+        from_gymnasium(env)
+
+
+def test_an_environment_that_was_changed_is_another_plant_and_one_that_stepped_is_not():
+    gymnasium = pytest.importorskip("gymnasium")
+    box = DesignSpace(["m", "l"], [0.5, 0.5], [2.0, 2.0])
+
+    def build(env, p):
+        env.m, env.l = map(float, p)
+
+    env = gymnasium.make("Pendulum-v1")
+    made = from_gymnasium(env, design=box, build=build)
+    first = content_of(made)
+    made.step(np.array([1.0, 2.0]), np.array([0.5]), np.zeros(0), np.array([0.7, 1.9]))
+    assert content_of(made) == first == content_of(from_gymnasium(env, design=box, build=build))
+    env.unwrapped.g = 3.0
+    assert content_of(made) != first
 
 
 def test_an_environment_is_tried_at_a_design_that_exists():

@@ -21,6 +21,7 @@ from ccdtools import (
     Plant,
     QuadraticObjective,
     RealPlant,
+    Recorded,
     Scenario,
     discretise,
 )
@@ -191,6 +192,13 @@ def test_a_redesign_that_costs_more_on_a_held_out_drive_is_taken_back(held_out):
         assert "taken back" in str(second)
         assert "on calm " in str(second)
         np.testing.assert_array_equal(second.design, first.design)
+
+
+def test_a_held_out_recording_that_is_shorter_than_a_deployment_is_refused_first():
+    short = {"ride": Recorded(np.zeros((30, 1)))}
+    real = RealPlant(spring(0.4), Gaussian([0.7]), [0.0, 0.0], 40, 50, held_out=short)
+    with pytest.raises(InputError, match=r"real.held_out\['ride'\]: steps: got 50, expected at most 30"):
+        fitted_generations(replace(stated(), measurement=None), real, method="nested", rng=np.random.default_rng(2))
 
 
 @pytest.mark.check
