@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -78,12 +77,28 @@ def as_they_end(
                 shown_bar.update()
 
 
-def begun(function: Callable[[Any], Any], item: Any, *, jobs: int) -> Callable[[], Any]:
-    """Function's value, asked for when it is needed."""
+def begun(function: Callable[[], Any], *, jobs: int) -> Callable[[], Any]:
+    """Function's value, asked for when it is needed.
+
+    With more than one process it is found beside what follows; where that fails, here.
+    """
     if jobs == 1:
-        value = function(item)
+        value = function()
         return lambda: value
-    return functools.partial(next, _sent(function, [item], jobs))
+    found = _sent(_called, [function], jobs)
+
+    def asked() -> Any:
+        try:
+            return next(found)
+        except Exception:  # a process ended, something cannot be sent, or the function fails: here it is told how
+            return function()
+
+    return asked
+
+
+def _called(function: Callable[[], Any]) -> Any:
+    """Value of a function without arguments."""
+    return function()
 
 
 def _sent(

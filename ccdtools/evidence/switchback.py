@@ -48,6 +48,8 @@ class Trial(Immutable):
         Whether the candidate lost a run, which rejects it.
     slopes : float or (models,) array
         Shares of what models foretell that are taken out of the gains.
+    largest : float
+        Largest change of a return within a pair, which bounds what is taken out.
     """
 
     gains: ArrayField
@@ -55,6 +57,7 @@ class Trial(Immutable):
     level: float = 0.05
     lost: bool = False
     slopes: ArrayField = 0.0
+    largest: float = 0.0
 
     def __post_init__(self) -> None:
         gains = np.asarray(self.gains, dtype=float)

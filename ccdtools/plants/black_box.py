@@ -148,7 +148,7 @@ def from_gymnasium(
     ----------
     env : gymnasium.Env
         With a box of actions (nu,), in which the U of a problem lies; its time limit and its rewards are not looked
-        at. It must be deterministic.
+        at. It must be deterministic. The folder of an experiment knows it by what it held when it was given here.
     read : function of the unwrapped environment → x (nx,), optional
         State at which it stands; by default its `state`.
     write : function of the unwrapped environment and x (nx,), optional
@@ -191,8 +191,8 @@ def from_gymnasium(
             build(inner, design.project(design.centre))
         except Exception as error:
             raise stopped("build", build, error, "a function (env, p) that gives the environment a design") from error
-    advance = _EnvironmentStep(env, read, write, build, design.project(design.centre))
-    before = advance.told()
+    told = content_of((inner, read, write, build))  # what it holds before its first step
+    advance = _EnvironmentStep(env, read, write, build, told)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
     taken = env.action_space.low, env.action_space.high
     box = BlackBox(advance, len(x), len(u), dt, design=design, step_limit=step_limit, input_bounds=taken)
@@ -204,20 +204,18 @@ def from_gymnasium(
     if not np.array_equal(x, back := _read(read, inner)):
         raise InputError("write", f"a state {shown(back)} where {shown(x)} was written", "the same state, (nx,)")
     _tell_idle(box, x, env.action_space)
-    changed = [name for name, held in advance.told().items() if before.get(name, "new") not in (held, "")]
-    return replace(box, advance=replace(advance, changed=frozenset(changed)))
+    return box
 
 
 @dataclass(frozen=True, eq=False)
 class _EnvironmentStep:
-    """Step of an environment from any state."""
+    """Step of an environment from any state, known by the content of what was given."""
 
     env: Any
     read: Callable[[Any], ArrayLike]
     write: Callable[[Any, Array], None]
     build: Callable[[Any, Array], None] | None
-    centre: Array
-    changed: frozenset[str] = frozenset()
+    told: str
 
     def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
@@ -231,21 +229,9 @@ class _EnvironmentStep:
             raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
         return _read(self.read, inner)
 
-    def as_given(self) -> tuple[Any, ...]:
-        """Class, functions, and what steps leave as it is."""
-        held = {name: value for name, value in sorted(self._held().items()) if name not in self.changed}
-        return type(self.env.unwrapped), held, self.read, self.write, self.build
-
-    def told(self) -> dict[str, str]:
-        """Content of attributes, empty where not told."""
-        once, again = ({name: content_of(held) for name, held in self._held().items()} for _ in range(2))
-        return {name: content if content == again[name] else "" for name, content in once.items()}
-
-    def _held(self) -> dict[str, Any]:
-        """Attributes at one design."""
-        if self.build is not None:
-            self.build(self.env.unwrapped, self.centre)
-        return getattr(self.env.unwrapped, "__dict__", {})
+    def as_given(self) -> tuple[str]:
+        """Content of the environment before its first step."""
+        return (self.told,)
 
 
 def _tell_idle(box: BlackBox, x: Array, actions: Any) -> None:
@@ -288,7 +274,8 @@ def _begun(env: Any) -> Any:
     """Unwrapped environment after a reset, if it has a box of actions."""
     actions = getattr(env, "action_space", None)
     box = hasattr(env, "unwrapped") and hasattr(actions, "low") and len(actions.shape) == 1  # type: ignore[union-attr]
-    if not box or isinstance(env, type) or actions.dtype.kind != "f":  # type: ignore[union-attr]
+    kind = getattr(getattr(actions, "dtype", None), "kind", "f")
+    if not box or isinstance(env, type) or kind != "f":
         got = shown(env) if actions is None or isinstance(env, type) else f"an environment with the actions {actions}"
         raise InputError("env", got, "a Gymnasium environment with a box of float actions, such as by gymnasium.make")
     if env.unwrapped.action_space != actions:

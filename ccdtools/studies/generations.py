@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -271,14 +271,17 @@ class Generations:
             self.echo(f"{label} … already finished")
             return partial(self.folder.read_stage, name)
         self.echo(label)
-        work = partial(compute, self.evaluation.rng(name), *inputs)
+        work = partial(_timed, partial(compute, self.evaluation.rng(name), *inputs))
         with telling(None if self.compute.progress else self.echo, label):
-            return begun(partial(_kept, self.folder, name), work, jobs=jobs)
+            found = begun(work, jobs=jobs)
+        kept = cache(lambda: self.folder.keep_stage(name, found()))
+        if jobs == 1:
+            kept()
+        return kept
 
 
-def _kept(folder: RunFolder, name: str, work: Callable[[], Stage]) -> Stage:
-    """Stage computed and written, with its time."""
+def _timed(work: Callable[[], Stage]) -> Stage:
+    """Stage with the time that it took."""
     start = time.perf_counter()
     computed = work()
-    seconds = time.perf_counter() - start
-    return folder.keep_stage(name, replace(computed, values=computed.values | {"seconds": seconds}))
+    return replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})

@@ -181,6 +181,7 @@ class _DeployedPolicy:
     def __post_init__(self) -> None:
         config = self.config
         self.candidate: Deployable | None = None  # on trial
+        self.model: Simulable | None = None  # which foretells in that trial
         self.coins = self.rng if config.trial is None else self.rng.spawn(1)[0]
         self.problem = self.served.problem
         self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
@@ -231,10 +232,13 @@ class _DeployedPolicy:
                 self.whole.plant, law, self.deployed.design, w, x0=x0, limit=self.problem.limit, progress=progress
             )
         update = self.updates[-1]
+        if update.trial is None:  # one that goes on keeps its model
+            logged = [piece for piece in self.pieces if not piece.diverged.all()]
+            self.model = identified_plant(self.problem, logged)
         tried = switchback_on(
             self.problem, self.whole.plant, law, self.candidate.controller(self.admissible), self.deployed.design,
             x0=x0, disturbance=w, rng=self.coins, config=self.config.trial, before=update.trial,
-            model=identified_plant(self.problem, [piece for piece in self.pieces if not piece.diverged.all()]),
+            model=self.model,
         )  # fmt: skip
         self.updates[-1] = replace(update, trial=tried.trial, ended=self._logged + tried.samples)
         if tried.trial.status is not TrialStatus.UNDECIDED:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.excited import Excited
 from ccdtools.evidence.switchback import Trial, TrialStatus
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.models import Simulable
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import simulate
@@ -131,18 +132,22 @@ def switchback_on(
             continue
         driven.append((len(pieces) - 2, order[1] - order[0], [blocks.returned(piece) for piece in pieces[-2:]]))
         firsts, turns, returns = (np.array(one) for one in zip(*driven))
-        undecided = len(trial.gains) < FEWEST_PAIRS
-        if undecided and model is None and len(earlier) + len(driven) == FEWEST_PAIRS:
-            model = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
-            foretold.append(blocks.predicted(model, laws))
+        undecided = not len(earlier) and len(driven) <= FEWEST_PAIRS
+        if undecided and model is None and len(driven) == FEWEST_PAIRS:
+            with suppress(CCDError, RuntimeError):  # of a model that gives no number at a state of the real plant
+                told = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
+                foretold.append(blocks.predicted(told, laws))
+                model = told
         changes = np.diff(returns)[:, 0]  # whoever drove first
         expected = np.column_stack([one[firsts + 1] - one[firsts] for one in foretold])
         if undecided:
-            margin = config.margin * blocks.size(returns.mean())
-            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, expected))
-        most = np.maximum(np.maximum.accumulate(np.abs(changes)), np.abs(changes[:FEWEST_PAIRS]).max())
+            margin, largest = config.margin * blocks.size(returns.mean()), float(np.abs(changes).max())
+            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, expected), largest=largest)
+        most = np.maximum.accumulate(np.maximum(np.abs(changes), trial.largest))
         explained = np.clip((expected * trial.slopes).sum(axis=1), -most, most)
         trial = replace(trial, gains=np.append(earlier, turns * (changes - explained)))
+    if driven:
+        trial = replace(trial, largest=float(most[-1]))
     samples = len(pieces) * blocks.length
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))

@@ -112,9 +112,10 @@ def _spread(given: Sequence[Experiment]) -> float:
     """Deviation of the outputs from their means; from 0 or 1 where there is none."""
     every = np.vstack([one.outputs for one in given])
     outputs = [column[~np.isnan(column)] for column in every.T]
-    means = [np.full(len(column), column.mean() if len(column) else 0.0) for column in outputs]
-    sizes = (np.linalg.norm(np.concatenate(outputs) - about) for about in (np.concatenate(means), 0.0))
-    return float(next(filter(None, sizes), 1.0) / np.sqrt(sum(map(len, outputs))))
+    about = [column - column.mean() if len(column) else column for column in outputs]
+    spread, size = (float(np.linalg.norm(np.concatenate(one))) for one in (about, outputs))
+    chosen = spread if spread > NEGLIGIBLE * size else size or 1.0  # what is constant has a mean that rounds
+    return chosen / float(np.sqrt(sum(map(len, outputs))))
 
 
 def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:

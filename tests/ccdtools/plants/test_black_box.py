@@ -29,7 +29,6 @@ from ccdtools import (
 )
 from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import BlackBox, from_gymnasium
-from ccdtools_ground.content import content_of
 
 A, B, E = np.array([[1.0, 0.1], [-0.2, 0.95]]), np.array([[0.0], [0.1]]), np.array([[0.0], [0.05]])
 
@@ -392,22 +391,6 @@ def test_an_environment_of_whole_number_actions_is_refused():
     env.action_space = gymnasium.spaces.Box(-3, 3, (1,), np.int32)
     with pytest.raises(InputError, match=r"env: got an environment with the actions .*int32.*float actions"):
         from_gymnasium(env)
-
-
-def test_an_environment_that_was_changed_is_another_plant_and_one_that_stepped_is_not():
-    gymnasium = pytest.importorskip("gymnasium")
-    box = DesignSpace(["m", "l"], [0.5, 0.5], [2.0, 2.0])
-
-    def build(env, p):
-        env.m, env.l = map(float, p)
-
-    env = gymnasium.make("Pendulum-v1")
-    made = from_gymnasium(env, design=box, build=build)
-    first = content_of(made)
-    made.step(np.array([1.0, 2.0]), np.array([0.5]), np.zeros(0), np.array([0.7, 1.9]))
-    assert content_of(made) == first == content_of(from_gymnasium(env, design=box, build=build))
-    env.unwrapped.g = 3.0
-    assert content_of(made) != first
 
 
 def test_an_environment_is_tried_at_a_design_that_exists():

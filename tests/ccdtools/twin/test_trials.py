@@ -239,6 +239,27 @@ def test_a_model_that_foretells_nothing_does_not_harm_a_trial(problem, share):
     assert right.pairs <= wrong.pairs
 
 
+def test_a_nominal_model_that_gives_no_number_where_the_real_plant_goes_ends_no_trial(problem):
+    own = plant(1.0)
+    root = own.dynamics + 1e-3 * (ca.sqrt(0.15 - own.x[0]) - 0.15**0.5)
+    small = {"X": ([-0.1] * 2, [0.1] * 2), "U": (-1, 1)}
+    found = tried(replace(problem, model=discretise(replace(own, dynamics=root), **small)), BETTER)
+    assert found.model is None
+    assert len(found.trial.gains) >= 20
+    assert np.isfinite(found.trial.gains).all()
+
+
+def test_a_short_trial_that_goes_on_keeps_its_slopes_and_margin(problem):
+    fine = {"candidate": LinearFeedback(0.99 * BETTER.K), "served": BETTER, "margin": 1e-6, "steps": 2000}
+    first = tried(problem, **fine)
+    cut = replace(first.trial, gains=first.trial.gains[:18])
+    further = tried(problem, **fine, before=cut, model=first.model, seed=1).trial
+    np.testing.assert_array_equal(further.slopes, cut.slopes)
+    assert further.margin == cut.margin
+    assert further.largest >= cut.largest
+    assert further.gains[18:].std() < 3 * cut.gains.std()
+
+
 def test_logs_that_tell_no_plant_are_named(problem):
     log = logged(problem)
     with pytest.raises(InputError, match="3 disturbances"):

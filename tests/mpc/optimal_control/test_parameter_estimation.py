@@ -157,6 +157,14 @@ def test_outputs_that_are_nothing_but_zero_leave_a_rate_open():
     assert [set(one) for one in found.open] == [{"p1"}]
 
 
+def test_outputs_that_are_constant_but_for_rounding_are_fitted():
+    found = estimate_parameters(
+        Experiment(np.linspace(0, 2, 41), np.full(41, 0.1)), **(DECAY | {"p_bounds": ([0.2], [5])})
+    )
+    assert found.solved
+    np.testing.assert_allclose(found.p, 0.2, rtol=1e-6)
+
+
 def test_a_pair_that_the_data_cannot_tell_apart_is_named_and_nothing_else():
     found = estimate_parameters(lotka_volterra_log(1), **lotka_volterra_with_product(), noise=[1.0, 1.0])
     assert found.status is EstimationStatus.OPEN
