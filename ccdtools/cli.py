@@ -100,9 +100,6 @@ def run(
     trial: Annotated[
         bool, typer.Option("--trial", help="Updates take turns with the deployed policy on the real plant first.")
     ] = False,
-    jobs: Annotated[
-        str, typer.Option(metavar="INTEGER", help="Processes: comparisons beside what follows. -1 for all cores.")
-    ] = "1",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
@@ -119,11 +116,10 @@ def run(
         redesign_price=redesign_price, limits=limits, filter=filter, accept_loss=accept_loss,
         drift=number("--drift", drift, "such as 0.05"), trial=trial, redesign_cost=redesign_cost,
     )  # fmt: skip
-    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
-    _begin(options, Path(study).stem, output, overwrite=overwrite, jobs=processes)
+    _begin(options, Path(study).stem, output, overwrite=overwrite)
 
 
-def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, jobs: int = 1) -> None:
+def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
     """Run a study in a new folder; tell how to resume if interrupted."""
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
@@ -142,19 +138,15 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, 
             with held_back():
                 prepared.begin(folder)
             with insisting():
-                _complete(folder, prepared, jobs)
+                _complete(folder, prepared)
     except KeyboardInterrupt:
         _stop(folder)
 
 
 @app.command()
-def resume(
-    folder: Annotated[str, typer.Argument(help="Folder of an interrupted run.")],
-    jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes; -1 for all cores.")] = "1",
-) -> None:
+def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted run.")]) -> None:
     """Continue an interrupted run; what it had finished is read, not computed again."""
     kept = RunFolder(folder)
-    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
     try:
         kept.check_layout()
         with kept.locked():
@@ -165,7 +157,7 @@ def resume(
                 prepared = prepare_again(kept)
                 kept.check_stages()
             with insisting():
-                _complete(kept, prepared, processes)
+                _complete(kept, prepared)
     except KeyboardInterrupt:
         _stop(kept)
 
@@ -388,7 +380,7 @@ def _program() -> list[str]:
     return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
 
 
-def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
+def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     """Run what is not finished yet, and report."""
     from ccdtools.studies.generations import Generations
     from ccdtools.studies.loading import blamed_on_source
@@ -410,8 +402,7 @@ def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
             found = SideBySideRun(study, prepared.config, folder, **asked).run()
             text, report = write_side_by_side(study, *found, folder, quick=options.quick)
         else:
-            asked |= {"generations": options.generations, "jobs": jobs}
-            results = Generations(study, prepared.config, folder, **asked).run()
+            results = Generations(study, prepared.config, folder, generations=options.generations, **asked).run()
             typer.echo("Figures and report")
             report = write_report(study, folder)
             text = f"{results['headline']}\n\n{console_table(results)}"

@@ -77,30 +77,6 @@ def as_they_end(
                 shown_bar.update()
 
 
-def begun(function: Callable[[], Any], *, jobs: int) -> Callable[[], Any]:
-    """Function's value, asked for when it is needed.
-
-    With more than one process it is found beside what follows; where that fails, here.
-    """
-    if jobs == 1:
-        value = function()
-        return lambda: value
-    found = _sent(_called, [function], jobs)
-
-    def asked() -> Any:
-        try:
-            return next(found)
-        except Exception:  # a process ended, something cannot be sent, or the function fails: here it is told how
-            return function()
-
-    return asked
-
-
-def _called(function: Callable[[], Any]) -> Any:
-    """Value of a function without arguments."""
-    return function()
-
-
 def _sent(
     function: Callable[[Any], Any], items: Sequence[Any], jobs: int, names: Sequence[str] = ()
 ) -> Iterator[Any]:  # fmt: skip

@@ -52,10 +52,6 @@ class Evaluation:
     config: StudyConfig
     seed: int  # every draw has a generator of its own, spawned from the seed and a name
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Without what other processes find themselves."""
-        return {"study": self.study, "config": self.config, "seed": self.seed}
-
     def rng(self, name: str) -> np.random.Generator:
         """Random generator of a name, independent of interruptions."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))

@@ -6,7 +6,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -16,7 +15,6 @@ from ccdtools.arrays import jsonable
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.jobs import as_jobs, begun
 from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
@@ -55,8 +53,6 @@ class Generations:
         Takes one line of text per stage.
     progress : bool
         Show progress bars.
-    jobs : int
-        Processes: with more than one, comparisons go on beside the stages that follow. The results are the same.
 
     Raises
     ------
@@ -74,7 +70,6 @@ class Generations:
         seed: int = 0,
         echo: Echo = print,
         progress: bool = True,
-        jobs: int = 1,
     ) -> None:
         self.generations = as_count("generations", generations)
         self.folder = folder
@@ -84,8 +79,6 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
         self._in_service = InService()
-        self._jobs = as_jobs(jobs)
-        self._compared: list[Callable[[], Stage]] = []
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
@@ -126,7 +119,6 @@ class Generations:
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
     def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
-        compared = [stage() for stage in self._compared]
         stages = [stage for record in history for stage in record.stages.values()]
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
@@ -137,7 +129,7 @@ class Generations:
             "schema_version": 7,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, *compared, beyond)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -148,7 +140,7 @@ class Generations:
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
             "initialisation": {key: value for key, value in initial.items() if key != "report"},
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
-            "comparison": [row for stage in compared for row in stage.values["rows"]],
+            "comparison": [row for record in history for row in record.stages["comparison"].values["rows"]],
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
             "in_service": history[-1].stages["in service"].values["rows"],
@@ -161,8 +153,9 @@ class Generations:
         """Record of the start: the first policy, compared at the start design."""
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
         service = Deployable(initial.networks["agent"], np.asarray(self.evaluation.study.p0), "the start")
-        self._compare("Comparison at the start design", 0, service, service, ())
-        return GenerationRecord(service, service, stages={"initialisation": initial})
+        title = "Comparison at the start design"
+        start = self._stage("comparison-0", title, self.evaluation.comparison, 0, service, service, ())
+        return GenerationRecord(service, service, stages={"initialisation": initial, "comparison": start})
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -196,12 +189,16 @@ class Generations:
         service, served = after_deployment(
             now, last.after, last.served, replaces=delivery["replaces"], carried=delivery["carried"]
         )
-        self._compare(f"{title}: comparison", generation, served.designed, service, known)
+        compared = self._stage(
+            f"comparison-{generation}", f"{title}: comparison", self.evaluation.comparison, generation, served.designed,
+            service, known,
+        )  # fmt: skip
         assert taught.discrepancy is not None
         discrepancy = taught.discrepancy
         returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
                               lambda _: self.evaluation.returns(served.designed, known, discrepancy))  # fmt: skip
-        stages = {"codesign": found, "deployment": deployed, "twin": learned, "evaluation": returns} | identified
+        stages = {"codesign": found, "deployment": deployed, "twin": learned, "comparison": compared,
+                  "evaluation": returns} | identified  # fmt: skip
         trust = Trust(**deployed.values["trust"])
         return taught, GenerationRecord(now.designed, service, delivery["replaces"], served, trust, stages)
 
@@ -248,40 +245,17 @@ class Generations:
                else {}),
         }  # fmt: skip
 
-    def _compare(self, title: str, generation: int, *inputs: Any) -> None:
-        """Begin a comparison, for which no stage waits."""
-        compute = self.evaluation.comparison
-        self._compared.append(
-            self._begun(f"comparison-{generation}", title, compute, generation, *inputs, jobs=self._jobs)
-        )
-
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """Stage of a name, read back or computed."""
-        finished = self.folder.has(name)
-        stage = self._begun(name, label, compute, *inputs)()
-        for line in [] if finished else stage.values.get("report", []):
-            self.echo(f"    {line}")
-        return stage
-
-    def _begun(
-        self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any, jobs: int = 1
-    ) -> Callable[[], Stage]:  # fmt: skip
-        """Stage, asked for when it is needed."""
         if self.folder.has(name):
             self.echo(f"{label} … already finished")
-            return partial(self.folder.read_stage, name)
+            return self.folder.read_stage(name)
         self.echo(label)
-        work = partial(_timed, partial(compute, self.evaluation.rng(name), *inputs))
+        start = time.perf_counter()
         with telling(None if self.compute.progress else self.echo, label):
-            found = begun(work, jobs=jobs)
-        kept = cache(lambda: self.folder.keep_stage(name, found()))
-        if jobs == 1:
-            kept()
-        return kept
-
-
-def _timed(work: Callable[[], Stage]) -> Stage:
-    """Stage with the time that it took."""
-    start = time.perf_counter()
-    computed = work()
-    return replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
+            computed = compute(self.evaluation.rng(name), *inputs)
+        timed = replace(computed, values=computed.values | {"seconds": time.perf_counter() - start})
+        stage = self.folder.keep_stage(name, timed)
+        for line in stage.values.get("report", []):
+            self.echo(f"    {line}")
+        return stage

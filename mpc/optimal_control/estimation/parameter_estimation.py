@@ -109,7 +109,7 @@ def estimate_parameters(
 
 
 def _spread(given: Sequence[Experiment]) -> float:
-    """Deviation of the outputs from their means; from 0 or 1 where there is none."""
+    """Deviation of the outputs from their means."""
     every = np.vstack([one.outputs for one in given])
     outputs = [column[~np.isnan(column)] for column in every.T]
     about = [column - column.mean() if len(column) else column for column in outputs]

@@ -193,12 +193,12 @@ def test_there_are_at_least_22_of_them():
     assert len(DAMAGES) >= 22
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_stages_that_were_deleted_are_computed_again_as_they_were(whole, copy, jobs):
-    for name in ("comparison-0", "codesign-2", "comparison-2"):
+@pytest.mark.check
+def test_a_stage_that_was_deleted_is_computed_again_as_it_was(whole, copy):
+    for name in ("codesign-2", "comparison-2"):
         shutil.rmtree(copy / "stages" / name)
     (copy / "results.json").unlink()
-    assert call("resume", str(copy), "--jobs", jobs) == 0
+    assert call("resume", str(copy)) == 0
     assert outcome(copy) == outcome(whole / "run")
 
 
