@@ -61,34 +61,15 @@ def as_they_end(
     Raises
     ------
     InputError
-        If a process ends before its work is done.
+        If a process ends before its work is done, or something cannot be sent to one.
     """
     if jobs != 1 and len(items) > 1:
-        yield from bar(_sent(function, items, jobs, names), label=label, total=len(items), progress=progress)
-        return
-    with bar(label=label, total=len(items), progress=progress) as shown_bar:
-        for i, item in enumerate(items):
-            if names:
-                shown_bar.set_description(f"{label}, now {names[i]}")
-            yield function(item)
-            if names:  # the next line says it
-                shown_bar.n += 1
-            else:
-                shown_bar.update()
+        from joblib import Parallel, delayed
 
-
-def _sent(
-    function: Callable[[Any], Any], items: Sequence[Any], jobs: int, names: Sequence[str] = ()
-) -> Iterator[Any]:  # fmt: skip
-    """Values that processes find from now on, in order."""
-    from joblib import Parallel, delayed
-
-    found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_kept)(function, item) for item in items)
-
-    def values() -> Iterator[Any]:
+        found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_kept)(function, item) for item in items)
         ended = 0
         try:
-            for value in found:
+            for value in bar(found, label=label, total=len(items), progress=progress):
                 ended += 1
                 yield value
         except BrokenProcessPool as error:
@@ -99,8 +80,16 @@ def _sent(
             reason = str(error.__cause__ or error).strip('\n" ').splitlines()[-1]
             got = f"what cannot be sent to a process ({reason})"
             raise InputError("jobs", got, "jobs=1, or functions and classes that stand in a module") from error
-
-    return values()
+        return
+    with bar(label=label, total=len(items), progress=progress) as shown_bar:
+        for i, item in enumerate(items):
+            if names:
+                shown_bar.set_description(f"{label}, now {names[i]}")
+            yield function(item)
+            if names:  # the next line says it
+                shown_bar.n += 1
+            else:
+                shown_bar.update()
 
 
 def _kept(function: Callable[[Any], Any], item: Any) -> Any:

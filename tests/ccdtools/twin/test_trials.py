@@ -212,19 +212,9 @@ def test_the_margin_is_a_part_of_what_the_real_plant_returns(problem, size):
     """By a model with other gusts it was 100 times as much, and a law that is better by far stayed undecided."""
     wrong = replace(problem, model=discretise(gusty(size)))
     found = tried(wrong, BETTER).trial
-    block = (
-        -simulate(
-            plant(1.1),
-            SERVED,
-            x0=X0,
-            steps=400,
-            disturbance=Gaussian([0.1, 0.1]).sample(20, 400, np.random.default_rng(15)),
-            design=[1.0],
-        )
-        .returns(problem.objective)
-        .mean()
-        / 10
-    )
+    w = Gaussian([0.1, 0.1]).sample(20, 400, np.random.default_rng(15))
+    runs = simulate(plant(1.1), SERVED, x0=X0, steps=400, disturbance=w, design=[1.0])
+    block = -runs.returns(problem.objective).mean() / 10
     assert found.status.value == "adopted"
     assert 0.005 * block * 0.4 < found.margin < 0.005 * block * 1.2
 
