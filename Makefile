@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## a semi-active car for two drivers, start to report, within two minutes on two cores
-	$(BIN)/ccdtools run semi_active_damper --generations 1 $(ARGS)
+	$(BIN)/ccdtools run semi_active_damper --generations 1 --jobs 2 $(ARGS)
 
 test: $(SETUP)         ## lint, types, import contracts and every quick test: within five minutes on two cores
 	@$(MAKE) --no-print-directory --jobs 2 lint quick

@@ -100,6 +100,7 @@ def run(
     trial: Annotated[
         bool, typer.Option("--trial", help="Updates take turns with the deployed policy on the real plant first.")
     ] = False,
+    jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes, for comparisons beside the loop.")] = "1",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
@@ -116,10 +117,11 @@ def run(
         redesign_price=redesign_price, limits=limits, filter=filter, accept_loss=accept_loss,
         drift=number("--drift", drift, "such as 0.05"), trial=trial, redesign_cost=redesign_cost,
     )  # fmt: skip
-    _begin(options, Path(study).stem, output, overwrite=overwrite)
+    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
+    _begin(options, Path(study).stem, output, overwrite=overwrite, jobs=processes)
 
 
-def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
+def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, jobs: int = 1) -> None:
     """Run a study in a new folder; tell how to resume if interrupted."""
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
@@ -138,14 +140,18 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) 
             with held_back():
                 prepared.begin(folder)
             with insisting():
-                _complete(folder, prepared)
+                _complete(folder, prepared, jobs)
     except KeyboardInterrupt:
         _stop(folder)
 
 
 @app.command()
-def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted run.")]) -> None:
+def resume(
+    folder: Annotated[str, typer.Argument(help="Folder of an interrupted run.")],
+    jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes, for comparisons beside the loop.")] = "1",
+) -> None:
     """Continue an interrupted run; what it had finished is read, not computed again."""
+    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
     kept = RunFolder(folder)
     try:
         kept.check_layout()
@@ -157,7 +163,7 @@ def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted 
                 prepared = prepare_again(kept)
                 kept.check_stages()
             with insisting():
-                _complete(kept, prepared)
+                _complete(kept, prepared, processes)
     except KeyboardInterrupt:
         _stop(kept)
 
@@ -380,7 +386,7 @@ def _program() -> list[str]:
     return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
 
 
-def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
+def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
     """Run what is not finished yet, and report."""
     from ccdtools.studies.generations import Generations
     from ccdtools.studies.loading import blamed_on_source
@@ -402,7 +408,9 @@ def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
             found = SideBySideRun(study, prepared.config, folder, **asked).run()
             text, report = write_side_by_side(study, *found, folder, quick=options.quick)
         else:
-            results = Generations(study, prepared.config, folder, generations=options.generations, **asked).run()
+            results = Generations(
+                study, prepared.config, folder, generations=options.generations, jobs=jobs, **asked
+            ).run()
             typer.echo("Figures and report")
             report = write_report(study, folder)
             text = f"{results['headline']}\n\n{console_table(results)}"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from pickle import PicklingError
+from pickle import PicklingError, dumps, loads
 from typing import Any, NoReturn
 
 from ccdtools.budgets import REPEAT_INTERRUPT
@@ -68,18 +69,10 @@ def as_they_end(
 
         found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_kept)(function, item) for item in items)
         ended = 0
-        try:
+        with _processes_named(lambda: f" at {names[ended]}, or at what follows it" if names else ""):
             for value in bar(found, label=label, total=len(items), progress=progress):
                 ended += 1
                 yield value
-        except BrokenProcessPool as error:
-            at = f" at {names[ended]}, or at what follows it" if names else ""
-            cure = "It was killed, ran out of memory, or what it called ended it: jobs=1 shows where."
-            raise InputError("jobs", f"a process that ended{at}", "processes that live to the end", cure) from error
-        except PicklingError as error:
-            reason = str(error.__cause__ or error).strip('\n" ').splitlines()[-1]
-            got = f"what cannot be sent to a process ({reason})"
-            raise InputError("jobs", got, "jobs=1, or functions and classes that stand in a module") from error
         return
     with bar(label=label, total=len(items), progress=progress) as shown_bar:
         for i, item in enumerate(items):
@@ -90,6 +83,68 @@ def as_they_end(
                 shown_bar.n += 1
             else:
                 shown_bar.update()
+
+
+@contextmanager
+def beside(jobs: int) -> Iterator[Callable[..., Callable[[], Any]]]:
+    """Computations in other processes, while this one goes on.
+
+    What is begun returns a function that waits for its value. What it needs is sent when it is begun, and may change
+    after.
+
+    Raises
+    ------
+    InputError
+        As `as_they_end`.
+    """
+    from joblib import cpu_count, wrap_non_picklable_objects
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    workers = max(cpu_count() - 1 if jobs == -1 else jobs - 1, 1)
+    pool = ProcessPoolExecutor(workers, env={"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")})
+
+    def begun(function: Callable[..., Any], *inputs: Any) -> Callable[[], Any]:
+        """Begin a computation."""
+        with _processes_named():
+            try:
+                task = dumps(wrap_non_picklable_objects((function, inputs), keep_wrapper=False))
+            except (TypeError, AttributeError) as error:
+                raise PicklingError from error
+            future = pool.submit(_kept, _sent, task)
+
+        def value() -> Any:
+            """Value, once it is there."""
+            with _processes_named():
+                return future.result()
+
+        return value
+
+    try:
+        yield begun
+    except BaseException:
+        pool.shutdown(kill_workers=True)
+        raise
+    pool.shutdown()
+
+
+def _sent(task: bytes) -> Any:
+    """Value of a function with its inputs, as they were sent."""
+    function, inputs = loads(task)
+    return function(*inputs)
+
+
+@contextmanager
+def _processes_named(at: Callable[[], str] = str) -> Iterator[None]:
+    """Say where a process ended, or what cannot be sent to one."""
+    try:
+        yield
+    except BrokenProcessPool as error:
+        cure = "It was killed, ran out of memory, or what it called ended it: jobs=1 shows where."
+        raise InputError("jobs", f"a process that ended{at()}", "processes that live to the end", cure) from error
+    except PicklingError as error:
+        reason = str(error.__cause__ or error).strip('\n" ').splitlines()[-1]
+        got = f"what cannot be sent to a process ({reason})"
+        raise InputError("jobs", got, "jobs=1, or functions and classes that stand in a module") from error
 
 
 def _kept(function: Callable[[Any], Any], item: Any) -> Any:

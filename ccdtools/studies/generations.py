@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -15,10 +16,11 @@ from ccdtools.arrays import jsonable
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.jobs import as_jobs, beside
 from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord, held_out_stage
+from ccdtools.studies.held_out import GenerationRecord, compared, held_out_stage
 from ccdtools.studies.in_service import InService
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
@@ -53,6 +55,8 @@ class Generations:
         Takes one line of text per stage.
     progress : bool
         Show progress bars.
+    jobs : int
+        Processes: comparisons are computed beside the loop in all but one.
 
     Raises
     ------
@@ -70,8 +74,10 @@ class Generations:
         seed: int = 0,
         echo: Echo = print,
         progress: bool = True,
+        jobs: int = 1,
     ) -> None:
         self.generations = as_count("generations", generations)
+        self.jobs = as_jobs(jobs)
         self.folder = folder
         self.echo = echo
         self.evaluation = Evaluation(study, config, as_count("seed", seed, least=0))
@@ -79,10 +85,16 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
         self._in_service = InService()
+        self._comparing: dict[int, Callable[[], Stage]] = {}  # what waits for a comparison, by generation
+        self._compared: dict[int, Stage] = {}
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
         """Run all stages; write and return the contents of results.json."""
+        with beside(self.jobs) as self._begun:
+            return self._run()
+
+    def _run(self) -> dict[str, Any]:
         study = self.evaluation.study
         twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
         history = [self._begin()]
@@ -103,7 +115,8 @@ class Generations:
         service = history[-1].after
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history, twin.logs))
+        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history))
+        self._keep_comparisons()
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
@@ -119,7 +132,8 @@ class Generations:
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
     def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
-        stages = [stage for record in history for stage in record.stages.values()]
+        stages = [stage for record in history for stage in record.stages.values()] + [*self._compared.values()]
+        rows = self._compared[0].values["held_out"] + self._compared[len(history) - 1].values["held_out"]
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
         study = evaluation.study
@@ -140,8 +154,8 @@ class Generations:
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
             "initialisation": {key: value for key, value in initial.items() if key != "report"},
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
-            "comparison": [row for record in history for row in record.stages["comparison"].values["rows"]],
-            "held_out": beyond.values["rows"],
+            "comparison": [row for compared in self._compared.values() for row in compared.values["rows"]],
+            "held_out": rows,
             "gains": beyond.values["gains"],
             "in_service": history[-1].stages["in service"].values["rows"],
             "configuration": asdict(config),
@@ -153,9 +167,30 @@ class Generations:
         """Record of the start: the first policy, compared at the start design."""
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
         service = Deployable(initial.networks["agent"], np.asarray(self.evaluation.study.p0), "the start")
-        title = "Comparison at the start design"
-        start = self._stage("comparison-0", title, self.evaluation.comparison, 0, service, service, ())
-        return GenerationRecord(service, service, stages={"initialisation": initial, "comparison": start})
+        self._compare(0, "Comparison at the start design", service, service, (), ())
+        return GenerationRecord(service, service, stages={"initialisation": initial})
+
+    def _compare(self, generation: int, label: str, *inputs: Any) -> None:
+        """Comparison at one generation's design, beside what follows if there is a process for it."""
+        name = f"comparison-{generation}"
+        if self.jobs != 1 and not self.folder.has(name):
+            afresh = partial(compared, replace(self.evaluation))
+            ended: Callable[[], Stage] = self._begun(afresh, self.evaluation.rng(name), generation, *inputs)
+
+            def compute(*_: Any) -> Stage:
+                """Wait for it."""
+                return ended()
+        else:
+            compute = partial(compared, self.evaluation)
+        self._comparing[generation] = lambda: self._stage(name, label, compute, generation, *inputs)
+        if self.jobs == 1:
+            self._keep_comparisons()
+
+    def _keep_comparisons(self) -> None:
+        """Wait for all comparisons that were begun."""
+        while self._comparing:
+            generation = next(iter(self._comparing))
+            self._compared[generation] = self._comparing.pop(generation)()
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -175,29 +210,28 @@ class Generations:
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
             last.served, last.trust, twin,
         )  # fmt: skip
+        self._keep_comparisons()
         log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
         if deployed.values.get("changed"):  # what was logged before was of another plant
             twin, self._told = DigitalTwin(twin.model, scale=self.evaluation.problem.state_scale), []
         twin, identified = self._identified(generation, log, twin)
         known = twin.logs
-        learned = self._stage(
-            f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, twin, log, deployed
-        )
-        taught = self.compute.learned_twin(twin, log, learned)
         now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, changes_of(deployed))
         delivery = deployed.values["delivery"]
         service, served = after_deployment(
             now, last.after, last.served, replaces=delivery["replaces"], carried=delivery["carried"]
         )
-        compared = self._stage(
-            f"comparison-{generation}", f"{title}: comparison", self.evaluation.comparison, generation, served.designed,
-            service, known,
-        )  # fmt: skip
+        logs = known if log.diverged.all() else twin.remembering(log).logs
+        self._compare(generation, f"{title}: comparison", served.designed, service, known, logs)
+        learned = self._stage(
+            f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, twin, log, deployed
+        )
+        taught = self.compute.learned_twin(twin, log, learned)
         assert taught.discrepancy is not None
         discrepancy = taught.discrepancy
         returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
                               lambda _: self.evaluation.returns(served.designed, known, discrepancy))  # fmt: skip
-        stages = {"codesign": found, "deployment": deployed, "twin": learned, "comparison": compared,
+        stages = {"codesign": found, "deployment": deployed, "twin": learned,
                   "evaluation": returns} | identified  # fmt: skip
         trust = Trust(**deployed.values["trust"])
         return taught, GenerationRecord(now.designed, service, delivery["replaces"], served, trust, stages)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -48,15 +48,23 @@ class GenerationRecord:
     stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
-def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord], logs: Sequence[Residuals]) -> Stage:
-    """Comparison and gains on held-out runs, first and last design."""
-    first = history[0].after
-    last = history[-1].after
-    rows = held_out_rows(evaluation, 0, first, ()) + held_out_rows(evaluation, len(history) - 1, last, logs)
+def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
+    """Gains by source in every place."""
     steps = steps_of(evaluation, history)
     places = places_of(evaluation)
-    gains = [{"place": name} | gains_in(evaluation, scenario, steps) for name, scenario in places.items()]
-    return Stage({"rows": rows, "gains": gains})
+    return Stage({"gains": [{"place": name} | gains_in(evaluation, one, steps) for name, one in places.items()]})
+
+
+def compared(
+    evaluation: Evaluation, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
+    logs: Sequence[Residuals], known: Sequence[Residuals],
+) -> Stage:  # fmt: skip
+    """Comparison at one design, and beside it that on held-out runs.
+
+    There, baselines know the logs of this deployment, too.
+    """
+    stage = evaluation.comparison(rng, generation, designed, deployed, logs)
+    return replace(stage, values=stage.values | {"held_out": held_out_rows(evaluation, generation, deployed, known)})
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -95,11 +95,9 @@ def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDe
     tuned : bool
         Whether its gains are tuned in closed loop at the design: the best clipped linear feedback that is found.
     """
-    actuated = cache(_actuated)
-
     def law(problem: CoDesignProblem, design: Array) -> SemiActive:
         model = as_instance("problem.model", problem.model, SampledModel, "that of a car with semi_active")
-        A, B, _ = actuated(model.plant).matrices(design)
+        A, B, _ = _actuated(model.plant).matrices(design)
         Q, R, S = weights(design)
         F = lqr(A, B, Q=Q, R=R, S=S)[0][0]
         first = 1 + np.eye(len(F) + 1, len(F), -1)
@@ -108,6 +106,7 @@ def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDe
     return law
 
 
+@lru_cache(maxsize=1)
 def _actuated(car: Plant) -> Model:
     """Model of a car with a force in its damper's place."""
     x, push = ca.DM.zeros(car.nx), ca.jacobian(car.dynamics, car.p[1])

@@ -285,3 +285,14 @@ def test_a_run_that_is_killed_again_and_again_ends_like_one_that_is_not(whole, t
         assert process.returncode == -signal.SIGKILL
     assert call("resume", str(run)) == 0
     assert outcome(run) == outcome(whole / "run")
+
+
+@pytest.mark.check
+def test_two_processes_run_to_the_same_results(whole, tmp_path):
+    run = tmp_path / "run"
+    arguments = ["run", str(whole / "spring.py"), "--output", str(run), *ARGUMENTS, "--jobs", "2"]
+    assert call(*arguments) == 0
+    assert outcome(run) == outcome(whole / "run")
+    shutil.rmtree(run / "stages" / "comparison-1")
+    assert call("resume", str(run), "--jobs", "2") == 0
+    assert outcome(run) == outcome(whole / "run")
