@@ -80,9 +80,9 @@ def switchback_on(
     Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. What
     models predict of a pair, the mean under both laws on the same disturbance, is taken out of its gain as far as it
     explains the returns of the first 20 pairs, whoever drove: so a trial ends the sooner the better a model is, and the
-    decision rests on the real plant however wrong it is. The margin is a part of the returns of these pairs. A law with
-    memory begins afresh in every block. Pairs in which the law in service loses the run are left out, and a candidate
-    that loses one is rejected.
+    decision rests on the real plant however wrong it is, but for what it does in a single exceptional pair of these 20,
+    which explains itself. The margin is a part of the returns of these pairs. A law with memory begins afresh in every
+    block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
 
     Parameters
     ----------
@@ -117,8 +117,7 @@ def switchback_on(
     trial = before
     if trial is None:
         trial = Trial([], config.margin * (blocks.size(foretold[0].mean()) or 1.0), config.level)
-    elif np.size(trial.slopes) not in (1, len(foretold)):
-        raise InputError("model", "none", "the model that the trial began with", "See `TriedDeployment.model`.")
+    _check_begun_with(trial, foretold, model)
     earlier = trial.gains
     driven: list[tuple[int, int, list[float]]] = []  # first block of a pair, whose it is, and returns
     pieces: list[Trajectory] = []
@@ -159,6 +158,13 @@ def _explained(changes: Array, expected: Array) -> Array:
     units = np.abs(expected).max(axis=0)
     units[units == 0] = 1.0
     return np.asarray(np.linalg.lstsq(expected / units, changes, rcond=None)[0] / units)
+
+
+def _check_begun_with(trial: Trial, foretold: Sequence[Array], model: Simulable | None) -> None:
+    """Raise unless a trial began with as many models."""
+    if np.ndim(trial.slopes) and np.size(trial.slopes) != len(foretold):
+        got, began = ("none", "the model that") if model is None else ("one", "none, as")
+        raise InputError("model", got, f"{began} the trial began with", "See `TriedDeployment.model`.")
 
 
 @dataclass(frozen=True, eq=False)

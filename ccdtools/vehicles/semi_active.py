@@ -95,6 +95,7 @@ def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDe
     tuned : bool
         Whether its gains are tuned in closed loop at the design: the best clipped linear feedback that is found.
     """
+
     def law(problem: CoDesignProblem, design: Array) -> SemiActive:
         model = as_instance("problem.model", problem.model, SampledModel, "that of a car with semi_active")
         A, B, _ = _actuated(model.plant).matrices(design)

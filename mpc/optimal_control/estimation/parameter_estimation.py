@@ -51,7 +51,8 @@ def estimate_parameters(
         Where to start from, and the size of parameters that turn out to be 0; the middle of the bounds by default.
     noise : (ny, ny) or (ny,) array, optional
         Covariance of the noise of one row of outputs, or its variances. By default all outputs have the same variance,
-        which is estimated; until then it is supposed to be a hundredth of their deviation, squared.
+        which is estimated; until then it is supposed to be a hundredth of their deviation, squared, all together: give
+        the noise where they differ by thousands, or follow something known that does.
     disturbance : (nw, nw) or (nw,) array, optional
         Spectral density of white noise w [its unit² s], whose most likely course is found with p: their joint maximum.
     x_bounds : (lower, upper), optional
@@ -112,9 +113,10 @@ def _spread(given: Sequence[Experiment]) -> float:
     """Deviation of the outputs from their means."""
     every = np.vstack([one.outputs for one in given])
     outputs = [column[~np.isnan(column)] for column in every.T]
-    about = [column - column.mean() if len(column) else column for column in outputs]
+    shifted = [column - column[0] if len(column) else column for column in outputs]  # an offset does not round them
+    about = [column - column.mean() if len(column) else column for column in shifted]
     spread, size = (float(np.linalg.norm(np.concatenate(one))) for one in (about, outputs))
-    chosen = spread if spread > NEGLIGIBLE * size else size or 1.0  # what is constant has a mean that rounds
+    chosen = spread if spread > NEGLIGIBLE**2 * size else size or 1.0
     return chosen / float(np.sqrt(sum(map(len, outputs))))
 
 

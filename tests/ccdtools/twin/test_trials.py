@@ -111,6 +111,31 @@ def test_an_undecided_trial_says_how_many_pairs_it_needs():
     assert "20 pairs of blocks" in str(trial)
 
 
+def pushed():
+    """Plant whose second state is what its input was, so that gains are known exactly."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w", 2), ca.SX.sym("p")
+    return Plant(x, u, w, p, ca.vertcat(w[0], p * u), DesignSpace(["p"], [0.5], [1.5]), dt=0.1, continuous=False)
+
+
+@pytest.fixture(scope="module")
+def pushed_problem():
+    return CoDesignProblem(
+        discretise(pushed()), X=([-1e3] * 2, [1e3] * 2), U=(-1e3, 1e3),
+        objective=QuadraticObjective(np.eye(2), [[1e-9]]),
+        scenarios=FixedStart([0, 0], Gaussian([1.0, 1.0])), steps=100,
+    )  # fmt: skip
+
+
+def test_a_trial_goes_on_with_as_many_models_as_it_began_with(pushed_problem):
+    begun = Trial(0.1 * np.ones(19), 100.0, slopes=np.array([1.0]), largest=1.0)
+    w = np.random.default_rng(0).normal(size=(24, 20, 2))
+    with pytest.raises(InputError, match="model: got one, expected none, as the trial began with"):
+        switchback_on(
+            pushed_problem, pushed(), SERVED, BETTER, [1.0], x0=np.zeros((24, 2)), disturbance=w,
+            rng=np.random.default_rng(4), before=begun, model=pushed(),
+        )  # fmt: skip
+
+
 @pytest.mark.parametrize(("old", "new", "said"), [
     (np.zeros(30), np.zeros(29), "29 blocks"),
     (np.zeros(5), np.zeros(5), "5 pairs of blocks"),
