@@ -220,8 +220,9 @@ class _Deployments:
     sensors: Any
 
     def __post_init__(self) -> None:
-        for name, drive in (self.real.held_out or {}).items():
-            check_disturbance(f"real.held_out[{name!r}]", drive, self.real.plant, self.real.steps)
+        others = {f"real.held_out[{name!r}]": drive for name, drive in (self.real.held_out or {}).items()}
+        for name, drive in ({"real.disturbance": self.real.disturbance} | others).items():
+            check_disturbance(name, drive, self.real.plant, self.real.steps)
 
     def scenario(self, runs: int, seed: int, drive: Disturbance) -> Scenario:
         """So many runs of a drive, the same by the same seed."""

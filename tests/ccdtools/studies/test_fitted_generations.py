@@ -194,10 +194,16 @@ def test_a_redesign_that_costs_more_on_a_held_out_drive_is_taken_back(held_out):
         np.testing.assert_array_equal(second.design, first.design)
 
 
-def test_a_held_out_recording_that_is_shorter_than_a_deployment_is_refused_first():
-    short = {"ride": Recorded(np.zeros((30, 1)))}
-    real = RealPlant(spring(0.4), Gaussian([0.7]), [0.0, 0.0], 40, 50, held_out=short)
-    with pytest.raises(InputError, match=r"real.held_out\['ride'\]: steps: got 50, expected at most 30"):
+@pytest.mark.parametrize(
+    ("drive", "held_out", "name"),
+    [
+        (Gaussian([0.7]), {"ride": Recorded(np.zeros((30, 1)))}, r"held_out\['ride'\]"),
+        (Recorded(np.zeros((30, 1))), None, "disturbance"),
+    ],
+)
+def test_a_recording_that_is_shorter_than_a_deployment_is_refused_first(drive, held_out, name):
+    real = RealPlant(spring(0.4), drive, [0.0, 0.0], 40, 50, held_out=held_out)
+    with pytest.raises(InputError, match=rf"real.{name}: steps: got 50, expected at most 30"):
         fitted_generations(replace(stated(), measurement=None), real, method="nested", rng=np.random.default_rng(2))
 
 
