@@ -405,6 +405,8 @@ def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
     asked: dict[str, Any] = {"seed": options.seed, "echo": typer.echo, "progress": sys.stderr.isatty()}
     with blamed_on_source(options.study):
         if isinstance(study, SideBySide):
+            if jobs != 1:
+                raise InputError("--jobs", jobs, "1 for a study with its uses side by side")
             found = SideBySideRun(study, prepared.config, folder, **asked).run()
             text, report = write_side_by_side(study, *found, folder, quick=options.quick)
         else:

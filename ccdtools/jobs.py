@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from pickle import PicklingError, dumps, loads
 from typing import Any, NoReturn
 
@@ -86,24 +87,27 @@ def as_they_end(
 
 
 @contextmanager
-def beside(jobs: int) -> Iterator[Callable[..., Callable[[], Any]]]:
+def beside(jobs: int) -> Iterator[Callable[..., tuple[Callable[[], bool], Callable[[], Any]]]]:
     """Computations in other processes, while this one goes on.
 
-    What is begun returns a function that waits for its value. What it needs is sent when it is begun, and may change
-    after.
+    What is begun returns two functions: whether it has ended, and one that waits for its value. What it needs is sent
+    when it is begun, and may change after. With one process it is computed when its value is asked for.
 
     Raises
     ------
     InputError
         As `as_they_end`.
     """
+    if jobs == 1:
+        yield lambda function, *inputs: (lambda: True, partial(function, *inputs))
+        return
     from joblib import cpu_count, wrap_non_picklable_objects
     from joblib.externals.loky import ProcessPoolExecutor
 
     workers = max(cpu_count() - 1 if jobs == -1 else jobs - 1, 1)
     pool = ProcessPoolExecutor(workers, env={"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")})
 
-    def begun(function: Callable[..., Any], *inputs: Any) -> Callable[[], Any]:
+    def begun(function: Callable[..., Any], *inputs: Any) -> tuple[Callable[[], bool], Callable[[], Any]]:
         """Begin a computation."""
         with _processes_named():
             try:
@@ -117,7 +121,7 @@ def beside(jobs: int) -> Iterator[Callable[..., Callable[[], Any]]]:
             with _processes_named():
                 return future.result()
 
-        return value
+        return future.done, value
 
     try:
         yield begun

@@ -6,7 +6,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -85,7 +84,7 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
         self._in_service = InService()
-        self._comparing: dict[int, Callable[[], Stage]] = {}  # what waits for a comparison, by generation
+        self._comparing: dict[int, tuple[str, str, Any]] = {}  # names, labels and what was begun, by generation
         self._compared: dict[int, Stage] = {}
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
@@ -115,8 +114,9 @@ class Generations:
         service = history[-1].after
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history))
-        self._keep_comparisons()
+        beyond = self._stage(
+            "held-out", label, lambda _: held_out_stage(self.evaluation, history, self._compared_at, twin.logs)
+        )
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
@@ -132,8 +132,8 @@ class Generations:
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
     def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
-        stages = [stage for record in history for stage in record.stages.values()] + [*self._compared.values()]
-        rows = self._compared[0].values["held_out"] + self._compared[len(history) - 1].values["held_out"]
+        compared = [self._compared_at(number) for number in range(len(history))]
+        stages = [stage for record in history for stage in record.stages.values()] + compared
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
         study = evaluation.study
@@ -154,8 +154,8 @@ class Generations:
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
             "initialisation": {key: value for key, value in initial.items() if key != "report"},
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
-            "comparison": [row for compared in self._compared.values() for row in compared.values["rows"]],
-            "held_out": rows,
+            "comparison": [row for stage in compared for row in stage.values["rows"]],
+            "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
             "in_service": history[-1].stages["in service"].values["rows"],
             "configuration": asdict(config),
@@ -173,24 +173,18 @@ class Generations:
     def _compare(self, generation: int, label: str, *inputs: Any) -> None:
         """Comparison at one generation's design, beside what follows if there is a process for it."""
         name = f"comparison-{generation}"
-        if self.jobs != 1 and not self.folder.has(name):
-            afresh = partial(compared, replace(self.evaluation))
-            ended: Callable[[], Stage] = self._begun(afresh, self.evaluation.rng(name), generation, *inputs)
+        begun = None
+        if not self.folder.has(name):
+            held_out = generation in (0, self.generations)
+            begun = self._begun(compared, self.evaluation, self.evaluation.rng(name), generation, *inputs, held_out)
+        self._comparing[generation] = name, label, begun
 
-            def compute(*_: Any) -> Stage:
-                """Wait for it."""
-                return ended()
-        else:
-            compute = partial(compared, self.evaluation)
-        self._comparing[generation] = lambda: self._stage(name, label, compute, generation, *inputs)
-        if self.jobs == 1:
-            self._keep_comparisons()
-
-    def _keep_comparisons(self) -> None:
-        """Wait for all comparisons that were begun."""
-        while self._comparing:
-            generation = next(iter(self._comparing))
-            self._compared[generation] = self._comparing.pop(generation)()
+    def _compared_at(self, generation: int) -> Stage:
+        """Comparison of a generation, kept; waits for it."""
+        if generation in self._comparing:
+            name, label, begun = self._comparing.pop(generation)
+            self._compared[generation] = self._stage(name, label, lambda _: begun[1]())
+        return self._compared[generation]
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -210,7 +204,6 @@ class Generations:
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
             last.served, last.trust, twin,
         )  # fmt: skip
-        self._keep_comparisons()
         log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
         if deployed.values.get("changed"):  # what was logged before was of another plant
             twin, self._told = DigitalTwin(twin.model, scale=self.evaluation.problem.state_scale), []
@@ -280,7 +273,9 @@ class Generations:
         }  # fmt: skip
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
-        """Stage of a name, read back or computed."""
+        """Stage of a name, read back or computed; comparisons that have ended are kept first."""
+        for generation in [g for g, (*_, begun) in self._comparing.items() if begun is None or begun[0]()]:
+            self._compared_at(generation)
         if self.folder.has(name):
             self.echo(f"{label} … already finished")
             return self.folder.read_stage(name)

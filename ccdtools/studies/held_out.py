@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -48,23 +48,34 @@ class GenerationRecord:
     stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
-def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
-    """Gains by source in every place."""
+def held_out_stage(
+    evaluation: Evaluation, history: Sequence[GenerationRecord], comparison: Callable[[int], Stage],
+    logs: Sequence[Residuals],
+) -> Stage:  # fmt: skip
+    """Comparison at the first and the last design, and gains by source, in every place.
+
+    A comparison that is not known is made here.
+    """
     steps = steps_of(evaluation, history)
-    places = places_of(evaluation)
-    return Stage({"gains": [{"place": name} | gains_in(evaluation, one, steps) for name, one in places.items()]})
+    gains = [{"place": name} | gains_in(evaluation, one, steps) for name, one in places_of(evaluation).items()]
+    rows: list[dict[str, Any]] = []
+    for generation, known in ((0, ()), (len(history) - 1, logs)):
+        found = comparison(generation).values.get("held_out")
+        rows += found or held_out_rows(evaluation, generation, history[generation].after, known)
+    return Stage({"rows": rows, "gains": gains})
 
 
 def compared(
     evaluation: Evaluation, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
-    logs: Sequence[Residuals], known: Sequence[Residuals],
+    logs: Sequence[Residuals], known: Sequence[Residuals], held_out: bool,
 ) -> Stage:  # fmt: skip
-    """Comparison at one design, and beside it that on held-out runs.
+    """Comparison at one design, and on held-out runs if asked.
 
     There, baselines know the logs of this deployment, too.
     """
     stage = evaluation.comparison(rng, generation, designed, deployed, logs)
-    return replace(stage, values=stage.values | {"held_out": held_out_rows(evaluation, generation, deployed, known)})
+    more = {"held_out": held_out_rows(evaluation, generation, deployed, known)} if held_out else {}
+    return replace(stage, values=stage.values | more)
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:

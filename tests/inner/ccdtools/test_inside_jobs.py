@@ -12,9 +12,10 @@ from ccdtools.jobs import beside
 def test_what_is_begun_has_the_inputs_of_that_moment_and_runs_elsewhere():
     values = [1.0, 2.0]
     with beside(2) as begun:
-        total = begun(lambda given: (sum(given), os.getpid()), values)
+        ended, total = begun(lambda given: (sum(given), os.getpid()), values)
         values.append(3.0)
         found, where = total()
+        assert ended()
     assert found == 3.0
     assert where != os.getpid()
 
@@ -25,9 +26,9 @@ def test_what_is_begun_has_the_inputs_of_that_moment_and_runs_elsewhere():
 )
 def test_a_process_that_ends_and_what_cannot_be_sent_are_named(function, inputs, said):
     with pytest.raises(InputError, match=said), beside(2) as begun:
-        begun(function, *inputs)()
+        begun(function, *inputs)[1]()
 
 
 def test_an_error_of_the_computation_is_that_error():
     with pytest.raises(ZeroDivisionError), beside(2) as begun:
-        begun(lambda: 1 / 0)()
+        begun(lambda: 1 / 0)[1]()

@@ -18,6 +18,7 @@ def test_a_run_stops_by_itself_where_no_redesign_is_worth_its_cost(illustrative,
                       progress=False, echo=said.append)  # fmt: skip
     results = run.run()
     assert len(results["generations"]) == 1
+    assert {row["generation"] for row in results["held_out"]} == {0, 1}
     assert results["stopped"]["status"] == "stop"
     assert any("Generation 2: stop, worth 0 EUR" in line for line in said)
     page = write_report(study, RunFolder(tmp_path / "run")).read_text(encoding="utf-8")
