@@ -142,7 +142,7 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, 
             with insisting():
                 _complete(folder, prepared, jobs)
     except KeyboardInterrupt:
-        _stop(folder)
+        _stop(folder, jobs)
 
 
 @app.command()
@@ -165,7 +165,7 @@ def resume(
             with insisting():
                 _complete(kept, prepared, processes)
     except KeyboardInterrupt:
-        _stop(kept)
+        _stop(kept, processes)
 
 
 @app.command()
@@ -367,13 +367,14 @@ def _run(arguments: list[str]) -> int:
         return 2  # This exit code tells misuse.
 
 
-def _stop(folder: RunFolder | None) -> NoReturn:
+def _stop(folder: RunFolder | None, jobs: int) -> NoReturn:
     """Say what was kept and how to go on."""
     if folder is None or not (folder.path / "run.json").is_file():
         typer.echo("\nInterrupted before anything was begun.")
     else:
         typer.echo(f"\nInterrupted. Finished and kept: {', '.join(folder.finished()) or 'nothing yet'}.")
-        typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path)])}")
+        asked = [] if jobs == 1 else ["--jobs", str(jobs)]
+        typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path), *asked])}")
     raise typer.Exit(INTERRUPTED)
 
 

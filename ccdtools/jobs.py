@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -86,17 +89,15 @@ def as_they_end(
                 shown_bar.update()
 
 
+Begun = tuple[Callable[[], bool], Callable[[], Any]]  # whether it has ended, and one that waits for its value
+
+
 @contextmanager
-def beside(jobs: int) -> Iterator[Callable[..., tuple[Callable[[], bool], Callable[[], Any]]]]:
+def beside(jobs: int) -> Iterator[Callable[..., Begun]]:
     """Computations in other processes, while this one goes on.
 
-    What is begun returns two functions: whether it has ended, and one that waits for its value. What it needs is sent
-    when it is begun, and may change after. With one process it is computed when its value is asked for.
-
-    Raises
-    ------
-    InputError
-        As `as_they_end`.
+    What a computation needs is sent when it is begun. In one process, and what cannot be sent or fails there, it is
+    computed here when its value is asked for: so a result or an error is that of one process.
     """
     if jobs == 1:
         yield lambda function, *inputs: (lambda: True, partial(function, *inputs))
@@ -105,21 +106,29 @@ def beside(jobs: int) -> Iterator[Callable[..., tuple[Callable[[], bool], Callab
     from joblib.externals.loky import ProcessPoolExecutor
 
     workers = max(cpu_count() - 1 if jobs == -1 else jobs - 1, 1)
-    pool = ProcessPoolExecutor(workers, env={"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")})
+    threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
+    pool = ProcessPoolExecutor(workers, initializer=_end_with, initargs=(os.getpid(),), env=threads)
 
-    def begun(function: Callable[..., Any], *inputs: Any) -> tuple[Callable[[], bool], Callable[[], Any]]:
+    def begun(function: Callable[..., Any], *inputs: Any) -> Begun:
         """Begin a computation."""
-        with _processes_named():
-            try:
-                task = dumps(wrap_non_picklable_objects((function, inputs), keep_wrapper=False))
-            except (TypeError, AttributeError) as error:
-                raise PicklingError from error
-            future = pool.submit(_kept, _sent, task)
+        here = partial(function, *inputs)
+        try:
+            future = pool.submit(_kept, _sent, dumps(wrap_non_picklable_objects(here, keep_wrapper=False)))
+        except Exception as error:
+            _tell(error)
+            return lambda: True, here
 
         def value() -> Any:
             """Value, once it is there."""
-            with _processes_named():
-                return future.result()
+            try:
+                found, caught = future.result()
+            except Exception as error:
+                found = here()
+                _tell(error)
+                return found
+            for one in caught:
+                warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+            return found
 
         return future.done, value
 
@@ -131,10 +140,29 @@ def beside(jobs: int) -> Iterator[Callable[..., tuple[Callable[[], bool], Callab
     pool.shutdown()
 
 
-def _sent(task: bytes) -> Any:
-    """Value of a function with its inputs, as they were sent."""
-    function, inputs = loads(task)
-    return function(*inputs)
+def _tell(error: Exception) -> None:
+    """Warn of what was computed in one process after all."""
+    reason = str(error).strip().splitlines() or [type(error).__name__]
+    warnings.warn(f"computed in one process, as another one could not: {reason[0]}", stacklevel=3)
+
+
+def _sent(task: bytes) -> tuple[Any, list[warnings.WarningMessage]]:
+    """Value of what was sent, and its warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        return loads(task)(), caught
+
+
+def _end_with(parent: int) -> None:
+    """Let this process end with another; Ctrl-C is for that one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        """Wait until it has ended."""
+        while os.getppid() == parent:  # always on Windows
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

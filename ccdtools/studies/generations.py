@@ -15,11 +15,11 @@ from ccdtools.arrays import jsonable
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.jobs import as_jobs, beside
+from ccdtools.jobs import Begun, as_jobs, beside
 from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord, compared, held_out_stage
+from ccdtools.studies.held_out import GenerationRecord, compared, gains_by_place, held_out_rows
 from ccdtools.studies.in_service import InService
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
@@ -31,6 +31,7 @@ from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count
 
@@ -84,8 +85,9 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
         self._in_service = InService()
-        self._comparing: dict[int, tuple[str, str, Any]] = {}  # names, labels and what was begun, by generation
+        self._comparing: dict[int, tuple[str, str, Begun]] = {}  # by generation
         self._compared: dict[int, Stage] = {}
+        self._compared_on: dict[int, Evaluation] = {}
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
@@ -114,9 +116,7 @@ class Generations:
         service = history[-1].after
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage(
-            "held-out", label, lambda _: held_out_stage(self.evaluation, history, self._compared_at, twin.logs)
-        )
+        beyond = self._stage("held-out", label, lambda _: self._beyond(history, twin.logs))
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
@@ -173,18 +173,34 @@ class Generations:
     def _compare(self, generation: int, label: str, *inputs: Any) -> None:
         """Comparison at one generation's design, beside what follows if there is a process for it."""
         name = f"comparison-{generation}"
-        begun = None
-        if not self.folder.has(name):
-            held_out = generation in (0, self.generations)
-            begun = self._begun(compared, self.evaluation, self.evaluation.rng(name), generation, *inputs, held_out)
+        self._compared_on[generation] = self.evaluation
+        if self.folder.has(name):
+            self._compared[generation] = self._read(name, label)
+            return
+        held_out = generation in (0, self.generations)
+        begun = self._begun(compared, self.evaluation, self.evaluation.rng(name), generation, *inputs, held_out)
         self._comparing[generation] = name, label, begun
 
     def _compared_at(self, generation: int) -> Stage:
         """Comparison of a generation, kept; waits for it."""
         if generation in self._comparing:
-            name, label, begun = self._comparing.pop(generation)
-            self._compared[generation] = self._stage(name, label, lambda _: begun[1]())
+            name, label, (_, value) = self._comparing.pop(generation)
+            self._compared[generation] = self._stage(name, label, lambda _: value())
         return self._compared[generation]
+
+    def _beyond(self, history: Sequence[GenerationRecord], logs: Sequence[Residuals]) -> Stage:
+        """Gains by source, and comparisons of the first and the last design, where no generation has been."""
+        gains = gains_by_place(self.evaluation, history)
+        last = len(history) - 1
+        rows = self._held_out_rows(0, history[0].after, ()) + self._held_out_rows(last, history[last].after, logs)
+        return Stage({"rows": rows, "gains": gains})
+
+    def _held_out_rows(self, generation: int, deployed: Deployable, logs: Sequence[Residuals]) -> list[dict[str, Any]]:
+        """Comparison on held-out runs of the plants of the end."""
+        known = self._compared_at(generation).values.get("held_out")
+        if known is None or self._compared_on[generation] is not self.evaluation:
+            return held_out_rows(self.evaluation, generation, deployed, logs)
+        return list(known)
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -274,11 +290,10 @@ class Generations:
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """Stage of a name, read back or computed; comparisons that have ended are kept first."""
-        for generation in [g for g, (*_, begun) in self._comparing.items() if begun is None or begun[0]()]:
+        for generation in [g for g, (*_, (ended, _)) in self._comparing.items() if ended()]:
             self._compared_at(generation)
         if self.folder.has(name):
-            self.echo(f"{label} … already finished")
-            return self.folder.read_stage(name)
+            return self._read(name, label)
         self.echo(label)
         start = time.perf_counter()
         with telling(None if self.compute.progress else self.echo, label):
@@ -288,3 +303,8 @@ class Generations:
         for line in stage.values.get("report", []):
             self.echo(f"    {line}")
         return stage
+
+    def _read(self, name: str, label: str) -> Stage:
+        """Finished stage of a name."""
+        self.echo(f"{label} … already finished")
+        return self.folder.read_stage(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -48,21 +48,10 @@ class GenerationRecord:
     stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
-def held_out_stage(
-    evaluation: Evaluation, history: Sequence[GenerationRecord], comparison: Callable[[int], Stage],
-    logs: Sequence[Residuals],
-) -> Stage:  # fmt: skip
-    """Comparison at the first and the last design, and gains by source, in every place.
-
-    A comparison that is not known is made here.
-    """
+def gains_by_place(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[dict[str, Any]]:
+    """Gains by source in every place."""
     steps = steps_of(evaluation, history)
-    gains = [{"place": name} | gains_in(evaluation, one, steps) for name, one in places_of(evaluation).items()]
-    rows: list[dict[str, Any]] = []
-    for generation, known in ((0, ()), (len(history) - 1, logs)):
-        found = comparison(generation).values.get("held_out")
-        rows += found or held_out_rows(evaluation, generation, history[generation].after, known)
-    return Stage({"rows": rows, "gains": gains})
+    return [{"place": name} | gains_in(evaluation, one, steps) for name, one in places_of(evaluation).items()]
 
 
 def compared(
