@@ -105,8 +105,8 @@ def run(
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
 
-    Every finished stage is kept in the output folder. Ctrl-C loses only the stage it falls in: the run goes on with
-    `ccdtools resume FOLDER`, to the same results.
+    Every finished stage is kept in the output folder. Ctrl-C loses only the stage it falls in, and comparisons beside
+    it: the run goes on with `ccdtools resume FOLDER`, to the same results.
     """
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
@@ -135,6 +135,7 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, 
             from ccdtools.studies.preparation import prepare
 
             prepared = prepare(options, asked)
+            _check_jobs(prepared, jobs)
             folder = _new_folder(output, name, overwrite)
         with folder.locked():
             with held_back():
@@ -162,6 +163,7 @@ def resume(
 
                 prepared = prepare_again(kept)
                 kept.check_stages()
+                _check_jobs(prepared, processes)
             with insisting():
                 _complete(kept, prepared, processes)
     except KeyboardInterrupt:
@@ -387,6 +389,14 @@ def _program() -> list[str]:
     return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
 
 
+def _check_jobs(prepared: PreparedRun, jobs: int) -> None:
+    """Raise where there is nothing for other processes."""
+    from ccdtools.studies.side_by_side import SideBySide
+
+    if jobs != 1 and isinstance(prepared.study, SideBySide):
+        raise InputError("--jobs", jobs, "1 for a study with its uses side by side")
+
+
 def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
     """Run what is not finished yet, and report."""
     from ccdtools.studies.generations import Generations
@@ -406,8 +416,6 @@ def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
     asked: dict[str, Any] = {"seed": options.seed, "echo": typer.echo, "progress": sys.stderr.isatty()}
     with blamed_on_source(options.study):
         if isinstance(study, SideBySide):
-            if jobs != 1:
-                raise InputError("--jobs", jobs, "1 for a study with its uses side by side")
             found = SideBySideRun(study, prepared.config, folder, **asked).run()
             text, report = write_side_by_side(study, *found, folder, quick=options.quick)
         else:

@@ -93,11 +93,12 @@ Begun = tuple[Callable[[], bool], Callable[[], Any]]  # whether it has ended, an
 
 
 @contextmanager
-def beside(jobs: int) -> Iterator[Callable[..., Begun]]:
+def beside(jobs: int, most: int = 1) -> Iterator[Callable[..., Begun]]:
     """Computations in other processes, while this one goes on.
 
     What a computation needs is sent when it is begun. In one process, and what cannot be sent or fails there, it is
-    computed here when its value is asked for: so a result or an error is that of one process.
+    computed here when its value is asked for: so a result or an error is that of one process. There are no more
+    processes than the `most` computations that are begun.
     """
     if jobs == 1:
         yield lambda function, *inputs: (lambda: True, partial(function, *inputs))
@@ -105,7 +106,7 @@ def beside(jobs: int) -> Iterator[Callable[..., Begun]]:
     from joblib import cpu_count, wrap_non_picklable_objects
     from joblib.externals.loky import ProcessPoolExecutor
 
-    workers = max(cpu_count() - 1 if jobs == -1 else jobs - 1, 1)
+    workers = max(min(cpu_count() if jobs == -1 else jobs, most + 1) - 1, 1)
     threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
     pool = ProcessPoolExecutor(workers, initializer=_end_with, initargs=(os.getpid(),), env=threads)
 
@@ -121,7 +122,7 @@ def beside(jobs: int) -> Iterator[Callable[..., Begun]]:
         def value() -> Any:
             """Value, once it is there."""
             try:
-                found, caught = future.result()
+                found, caught = loads(future.result())
             except Exception as error:
                 found = here()
                 _tell(error)
@@ -146,10 +147,14 @@ def _tell(error: Exception) -> None:
     warnings.warn(f"computed in one process, as another one could not: {reason[0]}", stacklevel=3)
 
 
-def _sent(task: bytes) -> tuple[Any, list[warnings.WarningMessage]]:
-    """Value of what was sent, and its warnings."""
-    with warnings.catch_warnings(record=True) as caught:
-        return loads(task)(), caught
+def _sent(task: bytes) -> bytes:
+    """Value of what was sent and its warnings; an error in words, as one's own may not be sent."""
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            value = loads(task)()
+        return dumps((value, caught))
+    except Exception as error:
+        raise RuntimeError(f"{type(error).__name__}: {error}") from None
 
 
 def _end_with(parent: int) -> None:

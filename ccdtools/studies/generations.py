@@ -87,12 +87,11 @@ class Generations:
         self._in_service = InService()
         self._comparing: dict[int, tuple[str, str, Begun]] = {}  # by generation
         self._compared: dict[int, Stage] = {}
-        self._compared_on: dict[int, Evaluation] = {}
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
         """Run all stages; write and return the contents of results.json."""
-        with beside(self.jobs) as self._begun:
+        with beside(self.jobs, self.generations + 1) as self._begun:
             return self._run()
 
     def _run(self) -> dict[str, Any]:
@@ -115,11 +114,13 @@ class Generations:
             history.append(replace(record, stages={**record.stages, "in service": served}))
         service = history[-1].after
         config = self.evaluation.config
-        label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, lambda _: self._beyond(history, twin.logs))
+        gains = self._stage("gains", "What brought the gain", lambda _: gains_by_place(self.evaluation, history))
+        compared = [self._compared_at(number) for number in range(len(history))]
+        label = "Disturbances that no generation has met"
+        beyond = self._stage("held-out-rows", label, lambda _: self._beyond(history, compared, twin.logs))
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
+        contents = self._results(history, compared, gains, beyond) | ({} if end is None else {"stopped": jsonable(end)})
         self.folder.write_json("results.json", contents)
         return contents
 
@@ -131,8 +132,9 @@ class Generations:
             self.evaluation = replace(self.evaluation, study=replace(study, real=met))
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
-    def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
-        compared = [self._compared_at(number) for number in range(len(history))]
+    def _results(
+        self, history: Sequence[GenerationRecord], compared: list[Stage], gains: Stage, beyond: Stage
+    ) -> dict[str, Any]:  # fmt: skip
         stages = [stage for record in history for stage in record.stages.values()] + compared
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
@@ -143,7 +145,7 @@ class Generations:
             "schema_version": 7,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, gains, beyond)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -156,7 +158,7 @@ class Generations:
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
             "comparison": [row for stage in compared for row in stage.values["rows"]],
             "held_out": beyond.values["rows"],
-            "gains": beyond.values["gains"],
+            "gains": gains.values["gains"],
             "in_service": history[-1].stages["in service"].values["rows"],
             "configuration": asdict(config),
             "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
@@ -173,11 +175,10 @@ class Generations:
     def _compare(self, generation: int, label: str, *inputs: Any) -> None:
         """Comparison at one generation's design, beside what follows if there is a process for it."""
         name = f"comparison-{generation}"
-        self._compared_on[generation] = self.evaluation
         if self.folder.has(name):
             self._compared[generation] = self._read(name, label)
             return
-        held_out = generation in (0, self.generations)
+        held_out = self._at_the_end(generation)
         begun = self._begun(compared, self.evaluation, self.evaluation.rng(name), generation, *inputs, held_out)
         self._comparing[generation] = name, label, begun
 
@@ -185,22 +186,24 @@ class Generations:
         """Comparison of a generation, kept; waits for it."""
         if generation in self._comparing:
             name, label, (_, value) = self._comparing.pop(generation)
-            self._compared[generation] = self._stage(name, label, lambda _: value())
+            self._compared[generation] = self._computed(name, label, lambda _: value())
         return self._compared[generation]
 
-    def _beyond(self, history: Sequence[GenerationRecord], logs: Sequence[Residuals]) -> Stage:
-        """Gains by source, and comparisons of the first and the last design, where no generation has been."""
-        gains = gains_by_place(self.evaluation, history)
-        last = len(history) - 1
-        rows = self._held_out_rows(0, history[0].after, ()) + self._held_out_rows(last, history[last].after, logs)
-        return Stage({"rows": rows, "gains": gains})
+    def _at_the_end(self, generation: int) -> bool:
+        """Whether a comparison is one of held-out runs: at the first or the last design, on the plants of the end."""
+        study = self.evaluation.study
+        stays = study.unknown is None and self._real.met_by(self.generations) is self._real
+        return generation == self.generations or (generation == 0 and stays)
 
-    def _held_out_rows(self, generation: int, deployed: Deployable, logs: Sequence[Residuals]) -> list[dict[str, Any]]:
-        """Comparison on held-out runs of the plants of the end."""
-        known = self._compared_at(generation).values.get("held_out")
-        if known is None or self._compared_on[generation] is not self.evaluation:
-            return held_out_rows(self.evaluation, generation, deployed, logs)
-        return list(known)
+    def _beyond(
+        self, history: Sequence[GenerationRecord], compared: Sequence[Stage], logs: Sequence[Residuals]
+    ) -> Stage:  # fmt: skip
+        """Comparisons on held-out runs at the first and the last design."""
+        rows: list[dict[str, Any]] = []
+        for generation, known in ((0, ()), (len(history) - 1, logs)):
+            found = compared[generation].values.get("held_out") if self._at_the_end(generation) else None
+            rows += found or held_out_rows(self.evaluation, generation, history[generation].after, known)
+        return Stage({"rows": rows})
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -292,8 +295,10 @@ class Generations:
         """Stage of a name, read back or computed; comparisons that have ended are kept first."""
         for generation in [g for g, (*_, (ended, _)) in self._comparing.items() if ended()]:
             self._compared_at(generation)
-        if self.folder.has(name):
-            return self._read(name, label)
+        return self._read(name, label) if self.folder.has(name) else self._computed(name, label, compute, *inputs)
+
+    def _computed(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
+        """Stage that is computed and kept."""
         self.echo(label)
         start = time.perf_counter()
         with telling(None if self.compute.progress else self.echo, label):

@@ -48,10 +48,11 @@ class GenerationRecord:
     stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
-def gains_by_place(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[dict[str, Any]]:
+def gains_by_place(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
     """Gains by source in every place."""
     steps = steps_of(evaluation, history)
-    return [{"place": name} | gains_in(evaluation, one, steps) for name, one in places_of(evaluation).items()]
+    places = places_of(evaluation)
+    return Stage({"gains": [{"place": name} | gains_in(evaluation, one, steps) for name, one in places.items()]})
 
 
 def compared(

@@ -62,6 +62,20 @@ def test_an_error_of_the_computation_is_that_error():
     assert found.traceback[-1].name == "fail"
 
 
+class Own(UserWarning):
+    """One that no other process can send."""
+
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+
+def test_what_cannot_be_sent_back_leaves_the_other_process_to_others():
+    with beside(2) as begun:
+        with pytest.warns(Own), pytest.warns(UserWarning, match="in one process"):
+            begun(lambda: warnings.warn(Own("one", "two"), stacklevel=1))[1]()
+        assert begun(os.getpid)[1]() != HERE
+
+
 def warn_of(text):
     """Warn, twice in one place."""
     for _ in range(2):
