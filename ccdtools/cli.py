@@ -105,8 +105,8 @@ def run(
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
 
-    Every finished stage is kept in the output folder. Ctrl-C loses only the stage it falls in: the run goes on with
-    `ccdtools resume FOLDER`, to the same results.
+    Every finished stage is kept in the output folder. Ctrl-C loses only the stage it falls in, and comparisons beside
+    it: the run goes on with `ccdtools resume FOLDER`, to the same results.
     """
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
@@ -135,6 +135,7 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, 
             from ccdtools.studies.preparation import prepare
 
             prepared = prepare(options, asked)
+            _check_jobs(prepared, jobs)
             folder = _new_folder(output, name, overwrite)
         with folder.locked():
             with held_back():
@@ -142,7 +143,7 @@ def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, 
             with insisting():
                 _complete(folder, prepared, jobs)
     except KeyboardInterrupt:
-        _stop(folder)
+        _stop(folder, jobs)
 
 
 @app.command()
@@ -162,10 +163,11 @@ def resume(
 
                 prepared = prepare_again(kept)
                 kept.check_stages()
+                _check_jobs(prepared, processes)
             with insisting():
                 _complete(kept, prepared, processes)
     except KeyboardInterrupt:
-        _stop(kept)
+        _stop(kept, processes)
 
 
 @app.command()
@@ -367,13 +369,14 @@ def _run(arguments: list[str]) -> int:
         return 2  # This exit code tells misuse.
 
 
-def _stop(folder: RunFolder | None) -> NoReturn:
+def _stop(folder: RunFolder | None, jobs: int) -> NoReturn:
     """Say what was kept and how to go on."""
     if folder is None or not (folder.path / "run.json").is_file():
         typer.echo("\nInterrupted before anything was begun.")
     else:
         typer.echo(f"\nInterrupted. Finished and kept: {', '.join(folder.finished()) or 'nothing yet'}.")
-        typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path)])}")
+        asked = [] if jobs == 1 else ["--jobs", str(jobs)]
+        typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path), *asked])}")
     raise typer.Exit(INTERRUPTED)
 
 
@@ -384,6 +387,14 @@ def _program() -> list[str]:
         return [sys.executable, "-m", "ccdtools"]
     found = shutil.which(Path(called).name)
     return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
+
+
+def _check_jobs(prepared: PreparedRun, jobs: int) -> None:
+    """Raise where there is nothing for other processes."""
+    from ccdtools.studies.side_by_side import SideBySide
+
+    if jobs != 1 and isinstance(prepared.study, SideBySide):
+        raise InputError("--jobs", jobs, "1 for a study with its uses side by side")
 
 
 def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:

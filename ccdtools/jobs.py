@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from pickle import PicklingError, dumps, loads
 from typing import Any, NoReturn
 
@@ -85,39 +89,49 @@ def as_they_end(
                 shown_bar.update()
 
 
+Begun = tuple[Callable[[], bool], Callable[[], Any]]  # whether it has ended, and one that waits for its value
+
+
 @contextmanager
-def beside(jobs: int) -> Iterator[Callable[..., Callable[[], Any]]]:
+def beside(jobs: int, most: int = 1) -> Iterator[Callable[..., Begun]]:
     """Computations in other processes, while this one goes on.
 
-    What is begun returns a function that waits for its value. What it needs is sent when it is begun, and may change
-    after.
-
-    Raises
-    ------
-    InputError
-        As `as_they_end`.
+    What a computation needs is sent when it is begun. In one process, and what cannot be sent or fails there, it is
+    computed here when its value is asked for: so a result or an error is that of one process. There are no more
+    processes than the `most` computations that are begun.
     """
+    if jobs == 1:
+        yield lambda function, *inputs: (lambda: True, partial(function, *inputs))
+        return
     from joblib import cpu_count, wrap_non_picklable_objects
     from joblib.externals.loky import ProcessPoolExecutor
 
-    workers = max(cpu_count() - 1 if jobs == -1 else jobs - 1, 1)
-    pool = ProcessPoolExecutor(workers, env={"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")})
+    workers = max(min(cpu_count() if jobs == -1 else jobs, most + 1) - 1, 1)
+    threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
+    pool = ProcessPoolExecutor(workers, initializer=_end_with, initargs=(os.getpid(),), env=threads)
 
-    def begun(function: Callable[..., Any], *inputs: Any) -> Callable[[], Any]:
+    def begun(function: Callable[..., Any], *inputs: Any) -> Begun:
         """Begin a computation."""
-        with _processes_named():
-            try:
-                task = dumps(wrap_non_picklable_objects((function, inputs), keep_wrapper=False))
-            except (TypeError, AttributeError) as error:
-                raise PicklingError from error
-            future = pool.submit(_kept, _sent, task)
+        here = partial(function, *inputs)
+        try:
+            future = pool.submit(_kept, _sent, dumps(wrap_non_picklable_objects(here, keep_wrapper=False)))
+        except Exception as error:
+            _tell(error)
+            return lambda: True, here
 
         def value() -> Any:
             """Value, once it is there."""
-            with _processes_named():
-                return future.result()
+            try:
+                found, caught = loads(future.result())
+            except Exception as error:
+                found = here()
+                _tell(error)
+                return found
+            for one in caught:
+                warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+            return found
 
-        return value
+        return future.done, value
 
     try:
         yield begun
@@ -127,10 +141,33 @@ def beside(jobs: int) -> Iterator[Callable[..., Callable[[], Any]]]:
     pool.shutdown()
 
 
-def _sent(task: bytes) -> Any:
-    """Value of a function with its inputs, as they were sent."""
-    function, inputs = loads(task)
-    return function(*inputs)
+def _tell(error: Exception) -> None:
+    """Warn of what was computed in one process after all."""
+    reason = str(error).strip().splitlines() or [type(error).__name__]
+    warnings.warn(f"computed in one process, as another one could not: {reason[0]}", stacklevel=3)
+
+
+def _sent(task: bytes) -> bytes:
+    """Value of what was sent and its warnings; an error in words, as one's own may not be sent."""
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            value = loads(task)()
+        return dumps((value, caught))
+    except Exception as error:
+        raise RuntimeError(f"{type(error).__name__}: {error}") from None
+
+
+def _end_with(parent: int) -> None:
+    """Let this process end with another; Ctrl-C is for that one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        """Wait until it has ended."""
+        while os.getppid() == parent:  # always on Windows
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

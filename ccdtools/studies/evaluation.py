@@ -52,6 +52,10 @@ class Evaluation:
     config: StudyConfig
     seed: int  # every draw has a generator of its own, spawned from the seed and a name
 
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        """Without what it has computed, for another process."""
+        return Evaluation, (self.study, self.config, self.seed)
+
     def rng(self, name: str) -> np.random.Generator:
         """Random generator of a name, independent of interruptions."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))

@@ -6,7 +6,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -16,11 +15,11 @@ from ccdtools.arrays import jsonable
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.jobs import as_jobs, beside
+from ccdtools.jobs import Begun, as_jobs, beside
 from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord, compared, held_out_stage
+from ccdtools.studies.held_out import GenerationRecord, compared, gains_by_place, held_out_rows
 from ccdtools.studies.in_service import InService
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
@@ -32,6 +31,7 @@ from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count
 
@@ -85,13 +85,13 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
         self._real = study.real
         self._in_service = InService()
-        self._comparing: dict[int, Callable[[], Stage]] = {}  # what waits for a comparison, by generation
+        self._comparing: dict[int, tuple[str, str, Begun]] = {}  # by generation
         self._compared: dict[int, Stage] = {}
         self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
         """Run all stages; write and return the contents of results.json."""
-        with beside(self.jobs) as self._begun:
+        with beside(self.jobs, self.generations + 1) as self._begun:
             return self._run()
 
     def _run(self) -> dict[str, Any]:
@@ -114,12 +114,13 @@ class Generations:
             history.append(replace(record, stages={**record.stages, "in service": served}))
         service = history[-1].after
         config = self.evaluation.config
-        label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history))
-        self._keep_comparisons()
+        gains = self._stage("gains", "What brought the gain", lambda _: gains_by_place(self.evaluation, history))
+        compared = [self._compared_at(number) for number in range(len(history))]
+        label = "Disturbances that no generation has met"
+        beyond = self._stage("held-out-rows", label, lambda _: self._beyond(history, compared, twin.logs))
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
+        contents = self._results(history, compared, gains, beyond) | ({} if end is None else {"stopped": jsonable(end)})
         self.folder.write_json("results.json", contents)
         return contents
 
@@ -131,9 +132,10 @@ class Generations:
             self.evaluation = replace(self.evaluation, study=replace(study, real=met))
             self.compute = replace(self.compute, evaluation=self.evaluation)
 
-    def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
-        stages = [stage for record in history for stage in record.stages.values()] + [*self._compared.values()]
-        rows = self._compared[0].values["held_out"] + self._compared[len(history) - 1].values["held_out"]
+    def _results(
+        self, history: Sequence[GenerationRecord], compared: list[Stage], gains: Stage, beyond: Stage
+    ) -> dict[str, Any]:  # fmt: skip
+        stages = [stage for record in history for stage in record.stages.values()] + compared
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
         study = evaluation.study
@@ -143,7 +145,7 @@ class Generations:
             "schema_version": 7,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, gains, beyond)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -154,9 +156,9 @@ class Generations:
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
             "initialisation": {key: value for key, value in initial.items() if key != "report"},
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
-            "comparison": [row for compared in self._compared.values() for row in compared.values["rows"]],
-            "held_out": rows,
-            "gains": beyond.values["gains"],
+            "comparison": [row for stage in compared for row in stage.values["rows"]],
+            "held_out": beyond.values["rows"],
+            "gains": gains.values["gains"],
             "in_service": history[-1].stages["in service"].values["rows"],
             "configuration": asdict(config),
             "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
@@ -173,24 +175,35 @@ class Generations:
     def _compare(self, generation: int, label: str, *inputs: Any) -> None:
         """Comparison at one generation's design, beside what follows if there is a process for it."""
         name = f"comparison-{generation}"
-        if self.jobs != 1 and not self.folder.has(name):
-            afresh = partial(compared, replace(self.evaluation))
-            ended: Callable[[], Stage] = self._begun(afresh, self.evaluation.rng(name), generation, *inputs)
+        if self.folder.has(name):
+            self._compared[generation] = self._read(name, label)
+            return
+        held_out = self._at_the_end(generation)
+        begun = self._begun(compared, self.evaluation, self.evaluation.rng(name), generation, *inputs, held_out)
+        self._comparing[generation] = name, label, begun
 
-            def compute(*_: Any) -> Stage:
-                """Wait for it."""
-                return ended()
-        else:
-            compute = partial(compared, self.evaluation)
-        self._comparing[generation] = lambda: self._stage(name, label, compute, generation, *inputs)
-        if self.jobs == 1:
-            self._keep_comparisons()
+    def _compared_at(self, generation: int) -> Stage:
+        """Comparison of a generation, kept; waits for it."""
+        if generation in self._comparing:
+            name, label, (_, value) = self._comparing.pop(generation)
+            self._compared[generation] = self._computed(name, label, lambda _: value())
+        return self._compared[generation]
 
-    def _keep_comparisons(self) -> None:
-        """Wait for all comparisons that were begun."""
-        while self._comparing:
-            generation = next(iter(self._comparing))
-            self._compared[generation] = self._comparing.pop(generation)()
+    def _at_the_end(self, generation: int) -> bool:
+        """Whether a comparison is one of held-out runs: at the first or the last design, on the plants of the end."""
+        study = self.evaluation.study
+        stays = study.unknown is None and self._real.met_by(self.generations) is self._real
+        return generation == self.generations or (generation == 0 and stays)
+
+    def _beyond(
+        self, history: Sequence[GenerationRecord], compared: Sequence[Stage], logs: Sequence[Residuals]
+    ) -> Stage:  # fmt: skip
+        """Comparisons on held-out runs at the first and the last design."""
+        rows: list[dict[str, Any]] = []
+        for generation, known in ((0, ()), (len(history) - 1, logs)):
+            found = compared[generation].values.get("held_out") if self._at_the_end(generation) else None
+            rows += found or held_out_rows(self.evaluation, generation, history[generation].after, known)
+        return Stage({"rows": rows})
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
         """Stage of a co-design, and of the decision on what is deployed."""
@@ -210,7 +223,6 @@ class Generations:
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
             last.served, last.trust, twin,
         )  # fmt: skip
-        self._keep_comparisons()
         log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
         if deployed.values.get("changed"):  # what was logged before was of another plant
             twin, self._told = DigitalTwin(twin.model, scale=self.evaluation.problem.state_scale), []
@@ -280,10 +292,13 @@ class Generations:
         }  # fmt: skip
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
-        """Stage of a name, read back or computed."""
-        if self.folder.has(name):
-            self.echo(f"{label} … already finished")
-            return self.folder.read_stage(name)
+        """Stage of a name, read back or computed; comparisons that have ended are kept first."""
+        for generation in [g for g, (*_, (ended, _)) in self._comparing.items() if ended()]:
+            self._compared_at(generation)
+        return self._read(name, label) if self.folder.has(name) else self._computed(name, label, compute, *inputs)
+
+    def _computed(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
+        """Stage that is computed and kept."""
         self.echo(label)
         start = time.perf_counter()
         with telling(None if self.compute.progress else self.echo, label):
@@ -293,3 +308,8 @@ class Generations:
         for line in stage.values.get("report", []):
             self.echo(f"    {line}")
         return stage
+
+    def _read(self, name: str, label: str) -> Stage:
+        """Finished stage of a name."""
+        self.echo(f"{label} … already finished")
+        return self.folder.read_stage(name)

@@ -48,7 +48,7 @@ class GenerationRecord:
     stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
-def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
+def gains_by_place(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
     """Gains by source in every place."""
     steps = steps_of(evaluation, history)
     places = places_of(evaluation)
@@ -57,14 +57,15 @@ def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) 
 
 def compared(
     evaluation: Evaluation, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
-    logs: Sequence[Residuals], known: Sequence[Residuals],
+    logs: Sequence[Residuals], known: Sequence[Residuals], held_out: bool,
 ) -> Stage:  # fmt: skip
-    """Comparison at one design, and beside it that on held-out runs.
+    """Comparison at one design, and on held-out runs if asked.
 
     There, baselines know the logs of this deployment, too.
     """
     stage = evaluation.comparison(rng, generation, designed, deployed, logs)
-    return replace(stage, values=stage.values | {"held_out": held_out_rows(evaluation, generation, deployed, known)})
+    more = {"held_out": held_out_rows(evaluation, generation, deployed, known)} if held_out else {}
+    return replace(stage, values=stage.values | more)
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:

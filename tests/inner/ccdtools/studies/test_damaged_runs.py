@@ -296,3 +296,10 @@ def test_two_processes_run_to_the_same_results(whole, tmp_path):
     shutil.rmtree(run / "stages" / "comparison-1")
     assert call("resume", str(run), "--jobs", "2") == 0
     assert outcome(run) == outcome(whole / "run")
+
+
+def test_held_out_runs_are_compared_at_the_first_and_the_last_design_alone(whole):
+    folder = RunFolder(whole / "run")
+    compared = ["held_out" in folder.read_stage(f"comparison-{g}").values for g in range(3)]
+    assert compared == [True, False, True]
+    assert {row["generation"] for row in folder.read_json("results.json")["held_out"]} == {0, 2}

@@ -24,11 +24,11 @@ def sprung(push=0.0, gain=1.0):
 
 def worn(**changes):
     """Study whose second generation meets a plant that is pushed aside, the third one the same."""
-    real = RealPlant(plant := sprung(), NOISE, x0=[0.5, 0], runs=40, steps=40)
+    real = RealPlant(plant := sprung(), NOISE, x0=[0.5, 0], runs=40, steps=40, **changes)
     return Study(
         name="worn", title="Worn", plant=plant, X=Polytope.from_bounds([-2, -3], [2, 3]), disturbance=NOISE,
         U=Polytope.from_bounds([-3], [3]), objective=QuadraticObjective(np.eye(2), [[0.01]]), x0=[0.5, 0], p0=[2],
-        steps=40, samples=200, real=replace(real, later=[replace(real, plant=sprung(push=1.0))], **changes),
+        steps=40, samples=200, real=replace(real, later=[replace(real, plant=sprung(push=1.0))]),
         settings={"drift": 0.05},
     )  # fmt: skip
 
@@ -66,6 +66,19 @@ def test_the_second_generation_meets_the_worn_plant_says_so_and_the_third_follow
     gain = after.returns(study.objective) - before.returns(study.objective)
     assert gain.mean() > 0.1 * np.abs(before.returns(study.objective).mean())
     assert results["in_service"][0]["means"][3] > results["in_service"][0]["means"][2]
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_held_out_runs_of_the_start_are_on_the_worn_plant_as_gains_are(tmp_path, jobs):
+    study = worn(held_out={"gusts": Gaussian([0.3])})
+    config = tiny(configuration(study, quick=True, sets="lqr"))
+    folder, quiet = RunFolder.create(tmp_path / "run"), {"echo": lambda _: None, "progress": False}
+    results = Generations(study, config, folder, generations=2, jobs=jobs, **quiet).run()
+    start = next(row for row in results["held_out"] if row["controller"] == "LQR")
+    assert start["generation"] == 0
+    assert start["mean"] == results["gains"][-1]["start"]
+    assert results["gains"][-1]["place"] == "gusts"
 
 
 def test_later_plants_are_of_the_same_kind_and_length():
