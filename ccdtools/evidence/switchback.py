@@ -46,25 +46,23 @@ class Trial(Immutable):
         ever rejected.
     lost : bool
         Whether the candidate lost a run, which rejects it.
-    slopes : float or (models,) array
-        Shares of what models foretell that are taken out of the gains.
-    largest : float
-        Largest change of a return within a pair, which bounds what is taken out.
+    errors : float or (1 + models,) array
+        Sums of squares of what is left of the changes within pairs, by no model and by each: the least tells what is
+        taken out of further gains.
     """
 
     gains: ArrayField
     margin: float
     level: float = 0.05
     lost: bool = False
-    slopes: ArrayField = 0.0
-    largest: float = 0.0
+    errors: ArrayField = 0.0
 
     def __post_init__(self) -> None:
         gains = np.asarray(self.gains, dtype=float)
         self._set(gains=frozen(gains if not gains.size else as_array("gains", gains, ("pairs",))))
         self._set(margin=as_positive("margin", self.margin, unit="of the return of a block"))
         as_share("level", self.level)
-        self._set(slopes=frozen(np.asarray(self.slopes, dtype=float)))
+        self._set(errors=frozen(np.asarray(self.errors, dtype=float)))
 
     @cached_property
     def _dependence(self) -> Array:

@@ -78,10 +78,10 @@ def switchback_on(
     """Deployment on a real plant with the trial of a candidate.
 
     Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. What
-    models predict of a pair, the mean under both laws on the same disturbance, is taken out of its gain as far as it
-    explains the returns of the first 20 pairs, whoever drove: so a trial ends the sooner the better a model is, and the
-    decision rests on the real plant however wrong it is, but for what it does in a single exceptional pair of these 20,
-    which explains itself. The margin is a part of the returns of these pairs. A law with memory begins afresh in every
+    the best of several models predicts of a pair, the mean under both laws on the same disturbance, is taken out of its
+    gain; which is best, or none, the other pairs tell. So a trial ends the sooner the better a model is, and the
+    decision rests on the real plant however wrong it is. What a candidate does in a gust that it never drove through is
+    not known. The margin is a part of the returns of the first 20 pairs. A law with memory begins afresh in every
     block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
 
     Parameters
@@ -137,32 +137,37 @@ def switchback_on(
                 told = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
                 foretold.append(blocks.predicted(told, laws))
                 model = told
-        changes = np.diff(returns)[:, 0]  # whoever drove first
-        expected = np.column_stack([one[firsts + 1] - one[firsts] for one in foretold])
         if undecided:
-            margin, largest = config.margin * blocks.size(returns.mean()), float(np.abs(changes).max())
-            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, expected), largest=largest)
-        most = np.maximum.accumulate(np.maximum(np.abs(changes), trial.largest))
-        explained = np.clip((expected * trial.slopes).sum(axis=1), -most, most)
+            trial = replace(trial, margin=config.margin * blocks.size(returns.mean()) or trial.margin)
+        changes = np.diff(returns)[:, 0]  # whoever drove first
+        expected = np.array([np.zeros(len(firsts)), *[one[firsts + 1] - one[firsts] for one in foretold]]).T
+        errors, explained = _explained(changes, expected, trial.errors, 0 if len(earlier) else FEWEST_PAIRS)
         trial = replace(trial, gains=np.append(earlier, turns * (changes - explained)))
     if driven:
-        trial = replace(trial, largest=float(most[-1]))
+        trial = replace(trial, errors=errors)
     samples = len(pieces) * blocks.length
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
     return TriedDeployment(trial, log, samples, model)
 
 
-def _explained(changes: Array, expected: Array) -> Array:
-    """Slopes (models,) of expected changes, by least squares."""
-    units = np.abs(expected).max(axis=0)
-    units[units == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(expected / units, changes, rcond=None)[0] / units)
+def _explained(changes: Array, expected: Array, before: ArrayLike, together: int) -> tuple[Array, Array]:
+    """Errors (1 + models,) after all pairs, and what is taken out of each (n,).
+
+    Of the expected changes (n, 1 + models), the first of which are zero, that which fits the other pairs best: those
+    before it, and among the first ones, which are judged together, those after it, too. So what is taken out of a pair
+    does not rest on who drove it.
+    """
+    n = np.arange(len(changes))
+    others = (n < np.maximum(n, together)[:, None]) & (n != n[:, None])
+    errors = (changes[:, None] - expected) ** 2
+    best = np.argmin(before + others @ errors, axis=1)
+    return before + errors.sum(axis=0), expected[n, best]
 
 
 def _check_begun_with(trial: Trial, foretold: Sequence[Array], model: Simulable | None) -> None:
     """Raise unless a trial began with as many models."""
-    if np.ndim(trial.slopes) and np.size(trial.slopes) != len(foretold):
+    if np.ndim(trial.errors) and np.size(trial.errors) != 1 + len(foretold):
         got, began = ("none", "the model that") if model is None else ("one", "none, as")
         raise InputError("model", got, f"{began} the trial began with", "See `TriedDeployment.model`.")
 
