@@ -160,7 +160,8 @@ class IdentifiedPlant(PlantOfModel):
         """Steps (x, u, w) → x⁺ at design `p` (np,)."""
         step = self.model.stepper(p, batch=batch)
         A, B, c = self.change
-        return lambda x, u, w: step(x, u, w) + x @ A.T + np.hstack([u, w]) @ B.T + c
+        nu = self.model.nu
+        return lambda x, u, w: step(x, u, w) + x @ A.T + u @ B[:, :nu].T + w @ B[:, nu:].T + c
 
 
 def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Trajectory]) -> IdentifiedPlant:

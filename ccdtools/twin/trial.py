@@ -79,10 +79,11 @@ def switchback_on(
 
     Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. What
     the best of several models predicts of a pair, the mean under both laws on the same disturbance, is taken out of its
-    gain; which is best, or none, the other pairs tell. So a trial ends the sooner the better a model is, and the
-    decision rests on the real plant however wrong it is. What a candidate does in a gust that it never drove through is
-    not known. The margin is a part of the returns of the first 20 pairs. A law with memory begins afresh in every
-    block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
+    gain, or a share of it; which is best, or none, the other pairs tell. So a trial ends the sooner the better a model
+    is, and one that is wrong may leave it undecided. For the level see `switchback`: what a candidate does in a gust
+    that it never drove through is not known. The margin is a part of the returns of the first 20 pairs. A law with
+    memory begins afresh in every block. Pairs in which the law in service loses the run are left out, and a candidate
+    that loses one is rejected.
 
     Parameters
     ----------
@@ -116,9 +117,9 @@ def switchback_on(
     foretold = [blocks.predicted(one, laws) for one in (problem.model, model) if one is not None]
     trial = before
     if trial is None:
-        trial = Trial([], config.margin * (blocks.size(foretold[0].mean()) or 1.0), config.level)
+        trial = Trial([], config.margin * (blocks.size(np.nan_to_num(foretold[0]).mean()) or 1.0), config.level)
     _check_begun_with(trial, foretold, model)
-    earlier = trial.gains
+    earlier, known = trial.gains, trial.told
     driven: list[tuple[int, int, list[float]]] = []  # first block of a pair, whose it is, and returns
     pieces: list[Trajectory] = []
     while len(pieces) < 2 * pairs and trial.status is TrialStatus.UNDECIDED:
@@ -134,40 +135,39 @@ def switchback_on(
         undecided = not len(earlier) and len(driven) <= FEWEST_PAIRS
         if undecided and model is None and len(driven) == FEWEST_PAIRS:
             with suppress(CCDError, RuntimeError):  # of a model that gives no number at a state of the real plant
-                told = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
-                foretold.append(blocks.predicted(told, laws))
-                model = told
+                own = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
+                foretold.append(blocks.predicted(own, laws))
+                model = own
         if undecided:
             trial = replace(trial, margin=config.margin * blocks.size(returns.mean()) or trial.margin)
-        changes = np.diff(returns)[:, 0]  # whoever drove first
-        expected = np.array([np.zeros(len(firsts)), *[one[firsts + 1] - one[firsts] for one in foretold]]).T
-        errors, explained = _explained(changes, expected, trial.errors, 0 if len(earlier) else FEWEST_PAIRS)
-        trial = replace(trial, gains=np.append(earlier, turns * (changes - explained)))
-    if driven:
-        trial = replace(trial, errors=errors)
+        told = np.column_stack([np.diff(returns)[:, 0], *[one[firsts + 1] - one[firsts] for one in foretold]])
+        told = np.vstack([known, np.nan_to_num(told)]) if len(known) else np.nan_to_num(told)
+        left = told[:, 0] - _taken_out(told, max(FEWEST_PAIRS - len(earlier) + len(known), 0))
+        trial = replace(trial, gains=np.append(earlier, turns * left[len(known) :]), told=told)
     samples = len(pieces) * blocks.length
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
     return TriedDeployment(trial, log, samples, model)
 
 
-def _explained(changes: Array, expected: Array, before: ArrayLike, together: int) -> tuple[Array, Array]:
-    """Errors (1 + models,) after all pairs, and what is taken out of each (n,).
+def _taken_out(told: Array, together: int) -> Array:
+    """What is taken out of the change within each pair (n,).
 
-    Of the expected changes (n, 1 + models), the first of which are zero, that which fits the other pairs best: those
-    before it, and among the first ones, which are judged together, those after it, too. So what is taken out of a pair
-    does not rest on who drove it.
+    Of nothing, what a model foretells and a share of it, for every model, that which fits best the pairs before it; one
+    for the first ones, which are judged together. Shares are those by least squares of the other pairs.
     """
-    n = np.arange(len(changes))
-    others = (n < np.maximum(n, together)[:, None]) & (n != n[:, None])
-    errors = (changes[:, None] - expected) ** 2
-    best = np.argmin(before + others @ errors, axis=1)
-    return before + errors.sum(axis=0), expected[n, best]
+    changes, expected, n = told[:, :1], told[:, 1:], np.arange(len(told))
+    seen = n < np.maximum(n, together)[:, None]
+    others = seen & (n != n[:, None])
+    size = others @ expected**2
+    share = np.divide(others @ (changes * expected), size, out=np.zeros_like(size), where=size > 0)
+    ways = np.column_stack([np.zeros(len(n)), expected, share * expected])
+    return np.asarray(ways[n, np.argmin(seen @ (changes - ways) ** 2, axis=1)])
 
 
 def _check_begun_with(trial: Trial, foretold: Sequence[Array], model: Simulable | None) -> None:
     """Raise unless a trial began with as many models."""
-    if np.ndim(trial.errors) and np.size(trial.errors) != 1 + len(foretold):
+    if len(trial.told) and trial.told.shape[1] != 1 + len(foretold):
         got, began = ("none", "the model that") if model is None else ("one", "none, as")
         raise InputError("model", got, f"{began} the trial began with", "See `TriedDeployment.model`.")
 
@@ -202,13 +202,16 @@ class _Blocks:
         return float(self.problem.objective.made_by_control(value, self.design, self.counted))
 
     def predicted(self, model: Simulable, laws: Sequence[Controller]) -> Array:
-        """Mean returns (blocks,) of laws; 0 if lost."""
+        """Mean returns (blocks,) of laws; NaN once one is lost."""
         whole = replace(self.whole, plant=model)
         runs = [whole.run(law, design=self.design, limit=self.problem.limit) for law in laws]
         rewards = np.mean([run.rewards(self.problem.objective) for run in runs], axis=0)
+        steps = np.arange(rewards.shape[1])
+        lost = np.any([run.diverged[:, None] & (steps >= run.diverged_at[:, None]) for run in runs], axis=0)
+        rewards[lost] = np.nan
         blocks = rewards[:, : rewards.shape[1] // self.length * self.length].reshape(-1, self.length)
         returns = blocks[:, -self.counted :].sum(axis=1)
-        return np.where(np.isfinite(returns), returns, 0.0)
+        return np.where(np.isfinite(returns), returns, np.nan)
 
     def returned(self, piece: Trajectory) -> float:
         """Return of a block, without its washout."""
