@@ -46,25 +46,24 @@ class Trial(Immutable):
         ever rejected.
     lost : bool
         Whether the candidate lost a run, which rejects it.
-    slopes : float or (models,) array
-        Shares of what models foretell that are taken out of the gains.
-    largest : float
-        Largest change of a return within a pair, which bounds what is taken out.
+    told : (n, 1 + models) array
+        Change of the return within pairs, whoever drove first, and what models foretold: they tell what is taken out of
+        further gains.
     """
 
     gains: ArrayField
     margin: float
     level: float = 0.05
     lost: bool = False
-    slopes: ArrayField = 0.0
-    largest: float = 0.0
+    told: ArrayField = ()
 
     def __post_init__(self) -> None:
         gains = np.asarray(self.gains, dtype=float)
         self._set(gains=frozen(gains if not gains.size else as_array("gains", gains, ("pairs",))))
         self._set(margin=as_positive("margin", self.margin, unit="of the return of a block"))
         as_share("level", self.level)
-        self._set(slopes=frozen(np.asarray(self.slopes, dtype=float)))
+        told = np.asarray(self.told, dtype=float)
+        self._set(told=frozen(told if not told.size else as_array("told", told, ("pairs", "1 + models"))))
 
     @cached_property
     def _dependence(self) -> Array:
@@ -116,12 +115,12 @@ class Trial(Immutable):
             return -side * np.inf
 
         def short(bound: float) -> float:
-            return float(tried._above(tried.gains - bound)[-1])
+            return float(tried._above(tried.gains - bound * self.margin)[-1])
 
-        lowest = tried.gains.min() - 10 * self.margin / BETS[0]
-        if short(lowest) < 0:
+        low, high = tried.gains.min() / self.margin - 10 / BETS[0], tried.gains.max() / self.margin
+        if short(low) < 0:
             return -side * np.inf
-        return side * float(brentq(short, lowest, tried.gains.max()))
+        return side * self.margin * float(brentq(short, low, high))
 
     @property
     def pairs_needed(self) -> float:

@@ -120,8 +120,7 @@ def deploy_and_update(
     if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
     see `Judge` and `ServedDistributions`. Of a single run both are replayed from the start of every stretch, so that
     what is judged begins in states of their own; several runs are judged from their own starts. A trial on the real
-    plant predicts with what has been logged so far, see `identified_plant`, where that predicts the first stretch
-    better than the nominal model.
+    plant predicts with what has been logged so far, see `identified_plant`, too: `switchback_on`.
 
     Parameters
     ----------

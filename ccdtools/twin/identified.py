@@ -151,7 +151,7 @@ class IdentifiedChange:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedPlant(PlantOfModel):
-    """Model with an affine change, f(x, u, w, p) + ΔA x + ΔB u + c."""
+    """Model with an affine change, f(x, u, w, p) + ΔA x + ΔB (u, w) + c."""
 
     model: Model
     change: tuple[Array, Array, Array]
@@ -160,14 +160,15 @@ class IdentifiedPlant(PlantOfModel):
         """Steps (x, u, w) → x⁺ at design `p` (np,)."""
         step = self.model.stepper(p, batch=batch)
         A, B, c = self.change
-        return lambda x, u, w: step(x, u, w) + x @ A.T + u @ B.T + c
+        nu = self.model.nu
+        return lambda x, u, w: step(x, u, w) + x @ A.T + u @ B[:, :nu].T + w @ B[:, nu:].T + c
 
 
 def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Trajectory]) -> IdentifiedPlant:
     """Plant that logs with a recorded disturbance tell.
 
-    Errors of the nominal model under the disturbance of the log are fitted as by `identified_lqr`. What was recorded is
-    no error: so a disturbance that lasts is not mistaken for a consequence of the state.
+    Errors of the nominal model under the disturbance of the log are fitted as by `identified_lqr`, by states, inputs
+    and disturbances. So one that lasts is not mistaken for a consequence of the state.
 
     Parameters
     ----------
@@ -187,7 +188,10 @@ def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Traje
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
     met = [residuals(problem.model, log, met=True, argument=f"logs[{i}]") for i, log in enumerate(given)]
-    errors = errors_in(problem, met)
+    errors = [
+        replace(one, u=np.concatenate([one.u, log.disturbances[one.numbers]], axis=2))
+        for one, log in zip(errors_in(problem, met), given)
+    ]
     return IdentifiedPlant(problem.model, fitted_change(errors, problem.state_scale))
 
 

@@ -78,11 +78,12 @@ def switchback_on(
     """Deployment on a real plant with the trial of a candidate.
 
     Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. What
-    models predict of a pair, the mean under both laws on the same disturbance, is taken out of its gain as far as it
-    explains the returns of the first 20 pairs, whoever drove: so a trial ends the sooner the better a model is, and the
-    decision rests on the real plant however wrong it is, but for what it does in a single exceptional pair of these 20,
-    which explains itself. The margin is a part of the returns of these pairs. A law with memory begins afresh in every
-    block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
+    the best of several models predicts of a pair, the mean under both laws on the same disturbance, is taken out of its
+    gain, or a share of it; which is best, or none, the other pairs tell. So a trial ends the sooner the better a model
+    is, and one that is wrong may leave it undecided. For the level see `switchback`: what a candidate does in a gust
+    that it never drove through is not known. The margin is a part of the returns of the first 20 pairs. A law with
+    memory begins afresh in every block. Pairs in which the law in service loses the run are left out, and a candidate
+    that loses one is rejected.
 
     Parameters
     ----------
@@ -116,9 +117,9 @@ def switchback_on(
     foretold = [blocks.predicted(one, laws) for one in (problem.model, model) if one is not None]
     trial = before
     if trial is None:
-        trial = Trial([], config.margin * (blocks.size(foretold[0].mean()) or 1.0), config.level)
+        trial = Trial([], config.margin * (blocks.size(np.nan_to_num(foretold[0]).mean()) or 1.0), config.level)
     _check_begun_with(trial, foretold, model)
-    earlier = trial.gains
+    earlier, known = trial.gains, trial.told
     driven: list[tuple[int, int, list[float]]] = []  # first block of a pair, whose it is, and returns
     pieces: list[Trajectory] = []
     while len(pieces) < 2 * pairs and trial.status is TrialStatus.UNDECIDED:
@@ -134,35 +135,39 @@ def switchback_on(
         undecided = not len(earlier) and len(driven) <= FEWEST_PAIRS
         if undecided and model is None and len(driven) == FEWEST_PAIRS:
             with suppress(CCDError, RuntimeError):  # of a model that gives no number at a state of the real plant
-                told = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
-                foretold.append(blocks.predicted(told, laws))
-                model = told
-        changes = np.diff(returns)[:, 0]  # whoever drove first
-        expected = np.column_stack([one[firsts + 1] - one[firsts] for one in foretold])
+                own = identified_plant(problem, [piece for piece in pieces if not piece.diverged.any()])
+                foretold.append(blocks.predicted(own, laws))
+                model = own
         if undecided:
-            margin, largest = config.margin * blocks.size(returns.mean()), float(np.abs(changes).max())
-            trial = replace(trial, margin=margin or trial.margin, slopes=_explained(changes, expected), largest=largest)
-        most = np.maximum.accumulate(np.maximum(np.abs(changes), trial.largest))
-        explained = np.clip((expected * trial.slopes).sum(axis=1), -most, most)
-        trial = replace(trial, gains=np.append(earlier, turns * (changes - explained)))
-    if driven:
-        trial = replace(trial, largest=float(most[-1]))
+            trial = replace(trial, margin=config.margin * blocks.size(returns.mean()) or trial.margin)
+        told = np.column_stack([np.diff(returns)[:, 0], *[one[firsts + 1] - one[firsts] for one in foretold]])
+        told = np.vstack([known, np.nan_to_num(told)]) if len(known) else np.nan_to_num(told)
+        left = told[:, 0] - _taken_out(told, max(FEWEST_PAIRS - len(earlier) + len(known), 0))
+        trial = replace(trial, gains=np.append(earlier, turns * left[len(known) :]), told=told)
     samples = len(pieces) * blocks.length
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
     return TriedDeployment(trial, log, samples, model)
 
 
-def _explained(changes: Array, expected: Array) -> Array:
-    """Slopes (models,) of expected changes, by least squares."""
-    units = np.abs(expected).max(axis=0)
-    units[units == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(expected / units, changes, rcond=None)[0] / units)
+def _taken_out(told: Array, together: int) -> Array:
+    """What is taken out of the change within each pair (n,).
+
+    Of nothing, what a model foretells and a share of it, for every model, that which fits best the pairs before it; one
+    for the first ones, which are judged together. Shares are those by least squares of the other pairs.
+    """
+    changes, expected, n = told[:, :1], told[:, 1:], np.arange(len(told))
+    seen = n < np.maximum(n, together)[:, None]
+    others = seen & (n != n[:, None])
+    size = others @ expected**2
+    share = np.divide(others @ (changes * expected), size, out=np.zeros_like(size), where=size > 0)
+    ways = np.column_stack([np.zeros(len(n)), expected, share * expected])
+    return np.asarray(ways[n, np.argmin(seen @ (changes - ways) ** 2, axis=1)])
 
 
 def _check_begun_with(trial: Trial, foretold: Sequence[Array], model: Simulable | None) -> None:
     """Raise unless a trial began with as many models."""
-    if np.ndim(trial.slopes) and np.size(trial.slopes) != len(foretold):
+    if len(trial.told) and trial.told.shape[1] != 1 + len(foretold):
         got, began = ("none", "the model that") if model is None else ("one", "none, as")
         raise InputError("model", got, f"{began} the trial began with", "See `TriedDeployment.model`.")
 
@@ -197,13 +202,16 @@ class _Blocks:
         return float(self.problem.objective.made_by_control(value, self.design, self.counted))
 
     def predicted(self, model: Simulable, laws: Sequence[Controller]) -> Array:
-        """Mean returns (blocks,) of laws; 0 if lost."""
+        """Mean returns (blocks,) of laws; NaN once one is lost."""
         whole = replace(self.whole, plant=model)
         runs = [whole.run(law, design=self.design, limit=self.problem.limit) for law in laws]
         rewards = np.mean([run.rewards(self.problem.objective) for run in runs], axis=0)
+        steps = np.arange(rewards.shape[1])
+        lost = np.any([run.diverged[:, None] & (steps >= run.diverged_at[:, None]) for run in runs], axis=0)
+        rewards[lost] = np.nan
         blocks = rewards[:, : rewards.shape[1] // self.length * self.length].reshape(-1, self.length)
         returns = blocks[:, -self.counted :].sum(axis=1)
-        return np.where(np.isfinite(returns), returns, 0.0)
+        return np.where(np.isfinite(returns), returns, np.nan)
 
     def returned(self, piece: Trajectory) -> float:
         """Return of a block, without its washout."""
