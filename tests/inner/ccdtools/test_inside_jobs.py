@@ -36,6 +36,7 @@ def end_elsewhere(here):
 @pytest.mark.parametrize(
     ("function", "given", "said"),
     [(end_elsewhere, HERE, "terminated"), (lambda value: value.acquire(False) or True, threading.Lock(), "lock")],
+    ids=["ends", "cannot be sent"],
 )
 def test_what_another_process_cannot_do_is_done_here_and_said(function, given, said):
     with beside(2) as begun:
