@@ -16,7 +16,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
 from mpc.optimal_control.estimation.information import information
-from mpc.optimal_control.estimation.parameter_estimate import ParameterEstimate, estimate_of
+from mpc.optimal_control.estimation.parameter_estimate import EstimationStatus, ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
@@ -51,8 +51,8 @@ def estimate_parameters(
         Where to start from, and the size of parameters that turn out to be 0; the middle of the bounds by default.
     noise : (ny, ny) or (ny,) array, optional
         Covariance of the noise of one row of outputs, or its variances. By default all outputs have the same variance,
-        which is estimated; until then it is supposed to be a hundredth of their deviation, squared, all together: give
-        the noise where they differ by thousands, or follow something known that does.
+        which is estimated: supposed to be a hundredth of their deviation, squared, all together, or what that leaves
+        where a combination is open. Give the noise where outputs differ by more than thousands.
     disturbance : (nw, nw) or (nw,) array, optional
         Spectral density of white noise w [its unit² s], whose most likely course is found with p: their joint maximum.
     x_bounds : (lower, upper), optional
@@ -88,25 +88,36 @@ def estimate_parameters(
     sizes = {"x": states, "u": nu, "w": len(density), "p": len(bounds[0]), "t": 1}
     f = moved_by_noise("dynamics", compiled("dynamics", dynamics, sizes, states))
     h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
-    unit = SUPPOSED_NOISE * _spread(given)
-    covariance = unit**2 * np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
     s = symbols_of(h)
     y = type(s["x"]).sym("y", ny * (1 + ny))  # rows of `whitened`
     value = ca.densify(ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny]))
     residual = ca.Function("residual", [*s.values(), y], [value], ["x", "w", "p", "t", "y"], ["value"])
     guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
-    phases = [
-        _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
-               as_names("state_names", state_names, "x", states))
-        for one in given
-    ]  # fmt: skip
-    problem = OptimalControlProblem(
-        phases, p_bounds=bounds, p_guess=p_guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
-    )
-    _check_count(problem, given, 0 if noise is not None else 1)
-    solution = refine(problem, **({"intervals": 1} | options))
-    known = information(solution, residual) if solution.solved_on_mesh else None
-    return estimate_of(solution, given, h, known, None if noise is not None else unit)
+
+    def fitted(covariance: Array, unit: float | None) -> ParameterEstimate:
+        """Estimate at a covariance of the noise, which has the unit if it is supposed."""
+        phases = [
+            _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
+                   as_names("state_names", state_names, "x", states))
+            for one in given
+        ]  # fmt: skip
+        problem = OptimalControlProblem(
+            phases, p_bounds=bounds, p_guess=p_guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
+        )
+        _check_count(problem, given, 0 if unit is None else 1)
+        solution = refine(problem, **({"intervals": 1} | options))
+        known = information(solution, residual) if solution.solved_on_mesh else None
+        return estimate_of(solution, given, h, known, unit)
+
+    if noise is not None:
+        return fitted(as_covariance("noise", noise, ny), None)
+    unit = SUPPOSED_NOISE * _spread(given)
+    found = fitted(unit**2 * np.eye(ny), unit)
+    left = found.residual_variance
+    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2:
+        return found
+    again = fitted(left * np.eye(ny), float(np.sqrt(left)))
+    return again if again.solved else found
 
 
 def _spread(given: Sequence[Experiment]) -> float:

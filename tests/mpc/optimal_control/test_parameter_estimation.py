@@ -99,15 +99,20 @@ def test_units_change_nothing_but_units(unit):
     np.testing.assert_allclose(other.starts, plain.starts * unit, rtol=1e-7)
 
 
-@pytest.mark.parametrize(("unit", "offset"), [(1e-6, 0), (1e-2, 0), (1e4, 0), (1.0, 5.3e6)])
-def test_small_outputs_tell_a_frequency_as_large_ones_do(unit, offset):
-    """It was 20.8, OPEN, from outputs of 0.1 and less, and of a northing."""
+@pytest.mark.parametrize(
+    ("unit", "offset", "ramp"), [(1e-6, 0, 0), (1e-2, 0, 0), (1e4, 0, 0), (1.0, 5.3e6, 0), (1.0, 0, 1e4)]
+)
+def test_small_outputs_tell_a_frequency_as_large_ones_do(unit, offset, ramp):
+    """It was 20.8, OPEN, from outputs of 0.1 and less, of a northing, and beside a known ramp."""
     t = np.linspace(0, 6, 41)
     y = np.cos(2 * t) + 0.02 * np.random.default_rng(0).normal(size=41)
     shot = least_squares(lambda z: z[1] * np.cos(z[0] * t) + z[2] * np.sin(z[0] * t) - y, [2.0, 1.0, 0.0])
     spring = {"states": 2, "p_bounds": ([0], [50])}
     found = estimate_parameters(
-        Experiment(t, unit * y + offset), lambda x, p: ca.vertcat(x[1], -p * x[0]), lambda x: x[0] + offset, **spring
+        Experiment(t, unit * y + offset + ramp * t),
+        lambda x, p: ca.vertcat(x[1], -p * x[0]),
+        lambda x, t: x[0] + offset + ramp * t,
+        **spring,
     )
     assert found.solved
     np.testing.assert_allclose(found.p, shot.x[:1] ** 2, rtol=1e-5)
