@@ -148,7 +148,10 @@ def _tell(error: Exception) -> None:
 
 
 def _sent(task: bytes) -> bytes:
-    """Value of what was sent and its warnings; an error in words, as one's own may not be sent."""
+    """Value of what was sent, and its warnings.
+
+    An error in words, as one's own may not be sent.
+    """
     try:
         with warnings.catch_warnings(record=True) as caught:
             value = loads(task)()
@@ -158,7 +161,7 @@ def _sent(task: bytes) -> bytes:
 
 
 def _end_with(parent: int) -> None:
-    """Let this process end with another; Ctrl-C is for that one."""
+    """Let this process end with another, which Ctrl-C is for."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:

@@ -173,7 +173,7 @@ class Generations:
         return GenerationRecord(service, service, stages={"initialisation": initial})
 
     def _compare(self, generation: int, label: str, *inputs: Any) -> None:
-        """Comparison at one generation's design, beside what follows if there is a process for it."""
+        """Begin the comparison at one generation's design."""
         name = f"comparison-{generation}"
         if self.folder.has(name):
             self._compared[generation] = self._read(name, label)
@@ -190,7 +190,10 @@ class Generations:
         return self._compared[generation]
 
     def _at_the_end(self, generation: int) -> bool:
-        """Whether a comparison is one of held-out runs: at the first or the last design, on the plants of the end."""
+        """Whether held-out runs are compared with it.
+
+        At the first and the last design, on the plants of the end.
+        """
         study = self.evaluation.study
         stays = study.unknown is None and self._real.met_by(self.generations) is self._real
         return generation == self.generations or (generation == 0 and stays)
@@ -198,7 +201,7 @@ class Generations:
     def _beyond(
         self, history: Sequence[GenerationRecord], compared: Sequence[Stage], logs: Sequence[Residuals]
     ) -> Stage:  # fmt: skip
-        """Comparisons on held-out runs at the first and the last design."""
+        """Comparisons on held-out runs."""
         rows: list[dict[str, Any]] = []
         for generation, known in ((0, ()), (len(history) - 1, logs)):
             found = compared[generation].values.get("held_out") if self._at_the_end(generation) else None
@@ -292,7 +295,10 @@ class Generations:
         }  # fmt: skip
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
-        """Stage of a name, read back or computed; comparisons that have ended are kept first."""
+        """Stage of a name, read back or computed.
+
+        Comparisons that have ended are kept first.
+        """
         for generation in [g for g, (*_, (ended, _)) in self._comparing.items() if ended()]:
             self._compared_at(generation)
         return self._read(name, label) if self.folder.has(name) else self._computed(name, label, compute, *inputs)

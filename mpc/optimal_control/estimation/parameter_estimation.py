@@ -95,7 +95,7 @@ def estimate_parameters(
     guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
 
     def fitted(covariance: Array, unit: float | None) -> ParameterEstimate:
-        """Estimate at a covariance of the noise, which has the unit if it is supposed."""
+        """Estimate at a covariance of the noise."""
         phases = [
             _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
                    as_names("state_names", state_names, "x", states))
