@@ -205,7 +205,9 @@ class Generations:
         rows: list[dict[str, Any]] = []
         for generation, known in ((0, ()), (len(history) - 1, logs)):
             found = compared[generation].values.get("held_out") if self._at_the_end(generation) else None
-            rows += found or held_out_rows(self.evaluation, generation, history[generation].after, known)
+            if found is None:
+                found = held_out_rows(self.evaluation, generation, history[generation].after, known)
+            rows += found
         return Stage({"rows": rows})
 
     def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:

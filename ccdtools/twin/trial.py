@@ -211,7 +211,8 @@ class _Blocks:
         rewards[lost] = np.nan
         blocks = rewards[:, : rewards.shape[1] // self.length * self.length].reshape(-1, self.length)
         returns = blocks[:, -self.counted :].sum(axis=1)
-        return np.where(np.isfinite(returns), returns, np.nan)
+        with np.errstate(over="ignore"):
+            return np.where(np.isfinite(returns**2), returns, np.nan)
 
     def returned(self, piece: Trajectory) -> float:
         """Return of a block, without its washout."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -94,7 +95,7 @@ def estimate_parameters(
     residual = ca.Function("residual", [*s.values(), y], [value], ["x", "w", "p", "t", "y"], ["value"])
     guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
 
-    def fitted(covariance: Array, unit: float | None) -> ParameterEstimate:
+    def fitted(covariance: Array, unit: float | None, **options: Any) -> ParameterEstimate:
         """Estimate at a covariance of the noise."""
         phases = [
             _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
@@ -110,13 +111,14 @@ def estimate_parameters(
         return estimate_of(solution, given, h, known, unit)
 
     if noise is not None:
-        return fitted(as_covariance("noise", noise, ny), None)
-    unit = SUPPOSED_NOISE * _spread(given)
-    found = fitted(unit**2 * np.eye(ny), unit)
-    left = found.residual_variance
-    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2:
+        return fitted(as_covariance("noise", noise, ny), None, **options)
+    unit, began = SUPPOSED_NOISE * _spread(given), time.perf_counter()
+    found = fitted(unit**2 * np.eye(ny), unit, **options)
+    left, limit = found.residual_variance, options.get("time_limit")
+    rest = np.inf if limit is None else limit - (time.perf_counter() - began)
+    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2 or rest <= 0:
         return found
-    again = fitted(left * np.eye(ny), float(np.sqrt(left)))
+    again = fitted(left * np.eye(ny), float(np.sqrt(left)), **options | {"time_limit": None if limit is None else rest})
     return again if again.solved else found
 
 
