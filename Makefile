@@ -18,10 +18,10 @@ test: $(SETUP)         ## lint, types, import contracts and every quick test: wi
 	@$(MAKE) --no-print-directory --jobs 2 lint quick
 
 quick: $(SETUP)        ## every quick test
-	$(PYTEST) -m "not check and not slow" --durations 5 --durations-min 4
+	$(PYTEST) -m "not check and not long and not slow" --durations 5 --durations-min 4
 
 check: $(SETUP)        ## everything else: whole runs, notebooks, long sweeps, and an old processor's kernels
-	$(PYTEST) -m "check and not slow"
+	$(PYTEST) -m "(check or long) and not slow"
 	@$(MAKE) --no-print-directory kernels
 
 kernels: $(SETUP)      ## quick tests of the numerical packages with the OpenBLAS kernels of processors without AVX; KERNELS="Sandybridge Zen" for others

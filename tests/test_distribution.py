@@ -33,6 +33,7 @@ def test_wheel_holds_exactly_the_typed_packages_and_the_sdist_the_documents(tmp_
     assert "ccdtools/studies/report/report.html" in names
 
 
+@pytest.mark.long
 def test_help_waits_for_no_heavy_import():
     code = "import sys, ccdtools.cli; print({'torch', 'casadi', 'matplotlib', 'scipy'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

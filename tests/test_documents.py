@@ -39,6 +39,7 @@ def name(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("page", [pytest.param(p, id=name(p), marks=HEAVY.get(p.name, ())) for p in HERE])
 def test_every_python_block_of_a_page_runs_in_order(page, tmp_path, monkeypatch):

@@ -27,6 +27,7 @@ def test_every_extension_is_one_short_file():
         assert len(file.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
 
 
+@pytest.mark.long
 def test_a_method_of_ones_own_is_judged_and_compared_like_the_others(problem):
     mine = cc.codesign(problem, method=RandomDesigns(), rng=np.random.default_rng(0))
     theirs = cc.codesign(problem, method="nested", rng=np.random.default_rng(0))

@@ -17,6 +17,7 @@ def run(page):
     return blocks, namespace
 
 
+@pytest.mark.long
 def test_the_readme_is_short_and_its_example_co_designs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (block,), namespace = run(README)

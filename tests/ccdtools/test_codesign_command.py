@@ -62,6 +62,7 @@ def test_a_folder_of_something_else_is_not_overwritten(tmp_path):
     assert [file.name for file in (tmp_path / "thesis").iterdir()] == ["chapter.tex"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("methods", "said"), [("nested-lqr,cma-es", "have ended:"), ("cma-es", "No method has")])
 def test_an_interrupted_comparison_says_what_has_ended(methods, said, tmp_path, monkeypatch, capsys):
     def interrupted(*args, **options):

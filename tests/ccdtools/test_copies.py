@@ -19,6 +19,7 @@ def twice(thing):
     return copy.deepcopy(thing), pickle.loads(pickle.dumps(thing))
 
 
+@pytest.mark.long
 def test_a_copied_plant_steps_as_the_original(study, rng):
     x, u = rng.standard_normal((9, study.plant.nx)), rng.standard_normal((9, 1))
     w = rng.standard_normal((9, study.plant.nw))

@@ -48,6 +48,7 @@ def imitated(expert=LQG, scenario=drawn, **options):
     return imitate(expert, scenario, **given | options)
 
 
+@pytest.mark.long
 def test_a_policy_of_the_state_does_what_its_expert_does():
     found = imitated(LQR)
     x = np.random.default_rng(1).normal(0, 0.3, (50, 2))
@@ -131,6 +132,7 @@ def test_the_best_round_is_kept_and_seeds_repeat():
     np.testing.assert_array_equal(found.controller(x), again.controller(x))
 
 
+@pytest.mark.long
 def test_ppo_goes_on_from_its_agent_and_another_design_is_refused(illustrative):
     problem = illustrative.problem()
     design = [2.0]
@@ -193,6 +195,7 @@ def test_every_round_draws_runs_of_its_own():
     assert len(set(starts)) == 3
 
 
+@pytest.mark.long
 def test_a_design_of_any_size_is_the_policys_own():
     space = DesignSpace(["k"], [1e8], [1e9], ["N/m"])
     k = ca.SX.sym("k")

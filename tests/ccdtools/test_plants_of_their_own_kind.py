@@ -81,6 +81,7 @@ def test_it_takes_the_place_of_the_plant_of_a_scenario():
     assert found["half", "own"].value == found["half", "box"].value
 
 
+@pytest.mark.long
 def test_it_is_designed_and_trained_on_as_the_function_that_it_is():
     method = Nested(runs=16, starts=1)
     one, other = (codesign(problem(plant), method=method, rng=np.random.default_rng(0)) for plant in (Cart(), BOX))

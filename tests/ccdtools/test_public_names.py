@@ -39,6 +39,7 @@ def test_importing_ccdtools_loads_neither_torch_nor_casadi():
     assert out.strip() == "[]"
 
 
+@pytest.mark.long
 def test_stating_a_problem_loads_no_torch():
     code = (
         "import sys, ccdtools; ccdtools.CoDesignProblem, ccdtools.FixedStart, ccdtools.simulate, ccdtools.discretise; "

@@ -243,6 +243,7 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("arguments", "message"), WRONG, ids=[" ".join(a)[:60].replace("\0", "0") for a, _ in WRONG])
 def test_a_wrong_command_line_is_one_clear_line(place, monkeypatch, capsys, arguments, message):
     before = sorted(os.listdir(place))

@@ -45,6 +45,7 @@ def test_a_set_missed_by_less_than_its_length_in_rounding_is_not_empty():
     assert Polytope([along, -along, across, -across], [1.0, 0.0, 0.0, -1e-3]).is_empty
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("k", range(12))
 def test_flat_boxes_about_a_corner_at_zero_keep_their_dimension_whatever_the_rounding(k):
     rng = np.random.default_rng((k, 7))

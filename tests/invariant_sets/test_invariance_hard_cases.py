@@ -59,6 +59,7 @@ def violation_by_highs(A, B, C, U, noise):
     return worst
 
 
+@pytest.mark.long
 @pytest.mark.quick(16)
 @pytest.mark.parametrize("name", CASES)
 def test_converged_sets_are_invariant_and_nearly_maximal(name, rng):
@@ -268,6 +269,7 @@ def test_a_half_space_with_infinitely_many_facets_is_an_outer_set_and_no_excepti
     assert maximal_control_invariant_set(A, B, boxed, ONE).set.is_subset(result.outer)
 
 
+@pytest.mark.long
 @pytest.mark.quick(7)
 @pytest.mark.parametrize("seed", range(12))
 def test_random_systems(seed):

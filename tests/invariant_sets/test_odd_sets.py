@@ -54,6 +54,7 @@ def test_an_empty_X_gives_empty_sets_and_says_so():
     assert not ParametricSet(illustrative, EMPTY, U).contains([0.0, 0.0], [1.0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "unbounded",
     [

@@ -62,6 +62,7 @@ def test_warm_start_takes_fewer_steps_to_the_same_set():
     assert max(steps[0]) < min(steps[1])
 
 
+@pytest.mark.long
 def test_parallel_results_are_the_same(family):
     designs = np.linspace(0.6, 2.9, 6)[:, None]
     alone = [result.set.volume for result in family.compute(designs)]
@@ -119,6 +120,7 @@ def limits_of_slow(p):
     return box([-4 / p[0]] * 2, [3 / p[0]] * 2)
 
 
+@pytest.mark.long
 def test_constraints_that_depend_on_the_design_are_those_of_each_design():
     family = ParametricSet(slow, limits_of_slow, lambda p: ([-1.0], [0.5 * p[0]]))
     for p in (1.05, 1.3, 1.3001, 1.05001):  # neighbours may start from each other

@@ -11,6 +11,7 @@ A, B = np.array([[1.0, 1], [0, 1]]), np.array([[0.5], [1.0]])
 X, U, ORIGIN = box([-5, -5], [5, 5]), box([-1], [1]), box([0, 0], [0, 0])
 
 
+@pytest.mark.long
 def test_predecessor_contains_exactly_the_states_with_a_good_input(rng):
     S = Polytope.from_vertices([[1, 0], [0, 1], [-1, 0], [0, -1]])
     W = box([-0.1, -0.1], [0.1, 0.2])
@@ -55,6 +56,7 @@ def test_zero_steps_is_the_set_itself_within_the_constraints():
     assert reachable_set(A, B, wide, U, 0, X=X).set.equals(wide.intersection(X))
 
 
+@pytest.mark.long
 def test_constraints_hold_on_the_way(rng):
     narrow = box([-5, -0.5], [5, 0.5])
     result = controllable_set(A, B, narrow, U, ORIGIN, 4)

@@ -22,6 +22,7 @@ def assert_same_support(h, k, scale=1.0, rel=1e-6):
     np.testing.assert_allclose(h, k, rtol=rel, atol=rel * scale)
 
 
+@pytest.mark.long
 @pytest.mark.quick(38)
 @every_family
 @every_dimension
@@ -99,6 +100,7 @@ def test_difference_then_sum_stays_inside_and_sum_then_difference_returns(family
     assert P.minkowski_sum(W).pontryagin_difference(W).equals(P, 1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.quick(25)
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 @pytest.mark.parametrize("family", FAMILIES)

@@ -14,12 +14,14 @@ def test_largest_positively_invariant_sets_are_invariant_bounded_as_said_and_mis
     assert adversarial.positive([seed])[0][1] == ""
 
 
+@pytest.mark.long
 @pytest.mark.quick(4)
 @pytest.mark.parametrize("seed", range(0, 24))
 def test_controllable_and_predecessor_sets_hold_exactly_the_states_with_a_good_input_sequence(seed):
     assert adversarial.controllable([seed])[0][1] == ""
 
 
+@pytest.mark.long
 @pytest.mark.quick(5)
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 5, 7, 8, 9, 10, 13, 14, 15, 19, 20, 21, 26, 27, 56, 57])
 def test_largest_control_invariant_sets_are_invariant_and_what_lies_outside_leaves(seed):

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 CODE = """
 import sys
 import invariant_sets
@@ -14,6 +16,7 @@ print(*[name for name in heavy if name in sys.modules])
 """
 
 
+@pytest.mark.long
 def test_import_loads_no_heavy_package_and_scipy_only_when_needed():
     run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True).stdout.split("\n")
     assert run[:2] == ["", ""]

@@ -85,6 +85,7 @@ def weakly_redundant(P):
     return Polytope(np.vstack([P.A, direction]), np.append(P.b, P.support(direction)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rows", [shuffled, duplicated, with_far_rows, weakly_redundant])
 @pytest.mark.parametrize("name", RECURSIONS)
 def test_rows_that_say_the_same_give_the_same_set(name, rows, natural):

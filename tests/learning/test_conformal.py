@@ -17,6 +17,7 @@ def test_few_samples_hold_the_level_exactly(n):
     assert covered.mean() > 0.79
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("draw", [np.random.Generator.random, np.random.Generator.exponential])
 @pytest.mark.parametrize("n", [5, 12, 20, 40])
 def test_interpolated_the_level_is_held_on_average_and_not_more(draw, n):
@@ -31,6 +32,7 @@ def test_interpolated_the_level_is_held_on_average_and_not_more(draw, n):
     assert np.minimum(covered, 1).mean() == pytest.approx(0.8, abs=0.015)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("memory", [1, 5, 20])
 def test_windows_that_overlap_hold_the_level_interpolated_however_alike_they_are(memory):
     # Twenty windows of twenty steps that do not overlap, and all between; scores last one step, or all of a window.

@@ -199,6 +199,7 @@ def linear_quadratic_regulator():
     return lambda x: (-x @ torch.tensor(K.T, dtype=torch.float32)).clamp(-2, 2)
 
 
+@pytest.mark.long
 def test_ppo_alone_closes_most_of_the_gap_between_doing_nothing_and_lqr():
     net = agent()
     for parameter in (net.mean_network.head.weight, net.mean_network.head.bias, net.mean_network.skip.weight):

@@ -62,6 +62,7 @@ def test_the_calibration_of_five_levels_makes_each_of_them_nominal():
     assert abs(median - 0.5) < 0.1
 
 
+@pytest.mark.long
 def test_quantiles_are_constant_outside_the_training_range(fitted):
     inside, outside = fitted.predict([[0.2, fitted.input_upper[1].item()]]), fitted.predict([[0.2, 50.0]])
     np.testing.assert_allclose(inside, outside)

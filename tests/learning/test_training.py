@@ -101,6 +101,7 @@ def test_the_episodes_that_end_first_do_not_say_which_agent_is_best():
     assert result.rows[0].mean_return == pytest.approx(-5)
 
 
+@pytest.mark.long
 def test_recent_returns_do_not_swing_with_the_time_limit_that_all_episodes_share():
     class Half(DoubleIntegrator):
         """Every step costs 1; half of the environments end every five steps, and all at the time limit."""
@@ -116,6 +117,7 @@ def test_recent_returns_do_not_swing_with_the_time_limit_that_all_episodes_share
     assert np.ptp(judged) < 1  # every 40 steps 32 episodes of five steps end and four of 40: −8.9 in the mean
 
 
+@pytest.mark.long
 def test_episodes_that_grow_longer_are_judged_by_those_that_have_ended():
     class Growing(DoubleIntegrator):
         """All end together, first after five steps, then after 40."""
@@ -274,6 +276,7 @@ def test_the_best_agent_is_kept_beside_the_last():
     assert result.agent is net
 
 
+@pytest.mark.long
 def test_a_broken_training_goes_on_with_the_same_numbers(tmp_path):
     whole, broken = agent(), agent()
     result = short(whole, iterations=6)
@@ -317,6 +320,7 @@ train(DoubleIntegrator(), agent(), iterations=6, steps=30, generator=torch.Gener
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize(("where", "count"), [("replace", 3), ("step", 100)], ids=["while writing", "in a rollout"])
 def test_a_training_that_is_killed_goes_on_with_the_same_numbers(tmp_path, where, count):

@@ -27,6 +27,7 @@ def clone_of_a_linear_law():
     return cloned(*data())
 
 
+@pytest.mark.long
 def test_cloning_reproduces_a_saturated_linear_law(clone_of_a_linear_law):
     x, u, _ = data(seed=5)
     with torch.no_grad():

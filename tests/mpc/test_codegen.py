@@ -68,6 +68,7 @@ def run_c(folder, theta, scalar):
     return np.fromfile(folder / "out.bin")
 
 
+@pytest.mark.long
 @needs_compiler
 @pytest.mark.parametrize("which", [0, 1, 2, 3])
 @pytest.mark.parametrize("method", ["tree", "sequential"])
@@ -204,6 +205,7 @@ def test_leaves_with_several_laws_are_scanned(explicit_laws, tmp_path):
     np.testing.assert_allclose(out[:, :1], u, atol=1e-9)
 
 
+@pytest.mark.long
 @needs_compiler
 @pytest.mark.parametrize("size", [1.5, 1e3, 1e300])
 def test_both_methods_and_python_agree_outside(explicit_laws, size, tmp_path):

@@ -150,6 +150,7 @@ def test_unstable_plants_over_long_horizons_with_a_cross_weight(seed):
     assert promises(controller, plan, x, signals) + verdict(controller, plan, x, signals) == []
 
 
+@pytest.mark.long
 def test_what_runs_away_is_solved_stage_by_stage_with_a_cross_weight():
     A, B, C, D = np.diag([1.4, 0.5]), np.array([[1.0], [1.0]]), np.array([[1.0, 0.2]]), np.array([[0.7]])
     data = dict(A=A, B=B, **weights(C, D, 0.1), horizon=80, U=box([1.0]))
@@ -169,6 +170,7 @@ def test_the_condensed_hessian_of_an_unstable_plant_is_block_diagonal_with_a_cro
         assert np.abs(beside).max() < 1e-8 * np.abs(H).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 2, 3, 4])
 def test_the_explicit_law_is_the_plan_of_least_output_cost(seed):
     compared, faults = law_faults(np.random.default_rng([13, seed, 3]))
@@ -176,6 +178,7 @@ def test_the_explicit_law_is_the_plan_of_least_output_cost(seed):
     assert compared > 0
 
 
+@pytest.mark.long
 @needs_compiler
 def test_the_c_code_of_a_weighted_body_acceleration_is_the_online_controller(tmp_path):
     A, B, _ = suspension()

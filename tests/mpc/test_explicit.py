@@ -86,6 +86,7 @@ def test_regions_are_polytopes_with_laws(law):
     assert area / 100 == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / len(X)))
 
 
+@pytest.mark.long
 def test_tree_finds_what_a_scan_finds():
     law = random_plant(5).explicit()
     X = np.random.default_rng(3).uniform(-5, 5, size=(5000, 4))

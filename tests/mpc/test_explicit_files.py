@@ -134,6 +134,7 @@ def test_forged_files_that_change_nothing_are_read(law, tmp_path):
     assert len(ExplicitMPC.load(tmp_path / "law")) == len(law)
 
 
+@pytest.mark.long
 def test_one_byte_edits_are_refused_or_change_nothing(law):
     assert set(edited(law, 200, np.random.default_rng(1))) <= {"refused", "read as it was"}
 

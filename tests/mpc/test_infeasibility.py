@@ -41,6 +41,7 @@ def test_two_hundred_infeasible_problems_are_explained():
     assert cases == 200
 
 
+@pytest.mark.long
 def test_nothing_named_can_be_spared():
     for controller, x in infeasible_cases(10):
         problem, why = controller.build(), controller.explain(x)
@@ -74,6 +75,7 @@ def test_amounts_are_finite_however_far_the_state_is(integrator, size):
     assert why.conflict
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("horizon", [10, 25, 40, 100])
 def test_unstable_plants_over_long_horizons_are_explained(horizon):
     A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])

@@ -77,6 +77,7 @@ def test_unconstrained_is_the_regulator():
     assert mpc.solve(x).cost == pytest.approx(x @ P @ x)
 
 
+@pytest.mark.long
 def test_suspension_in_SI_units_agrees_with_an_independent_solver():
     A, B, _ = suspension()
     mpc = LinearMPC(A, B, horizon=20, **SUSPENSION)
@@ -133,6 +134,7 @@ def test_unstable_plants_over_longer_horizons_get_their_relaxation(horizon):
     np.testing.assert_allclose(plan.inputs[:2], -1.0, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("horizon", [10, 30, 60])
 def test_a_plan_that_no_solver_could_finish_still_describes_what_its_inputs_do(horizon):
     A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])

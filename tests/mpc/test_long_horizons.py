@@ -10,6 +10,7 @@ from plants import box
 from mpc import LinearMPC, NotStabilisableError, Status
 
 
+@pytest.mark.long
 @pytest.mark.quick(3)
 @pytest.mark.parametrize("block", range(4))
 def test_random_unstable_plants_keep_every_promise_and_agree_with_the_oracles(block):
@@ -30,6 +31,7 @@ def test_random_unstable_plants_keep_every_promise_and_agree_with_the_oracles(bl
 A, B = np.array([[1.5, 0.3], [0.0, 1.3]]), np.array([[0.0], [1.0]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("horizon", [5, 16, 17, 19, 22, 25, 40, 70, 100])
 def test_a_state_that_cannot_be_brought_back_is_softened_at_every_horizon(horizon):
     mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=horizon, X=box([5, 5]), U=box([1]))
@@ -40,6 +42,7 @@ def test_a_state_that_cannot_be_brought_back_is_softened_at_every_horizon(horizo
     np.testing.assert_allclose(plan.inputs[:4], -1.0, atol=1e-6)  # the input that slows the unstable mode most
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("horizon", [20, 60, 100])
 def test_without_state_constraints_a_runaway_is_solved_with_the_inputs_at_their_limits(horizon):
     mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=horizon, U=box([1]))
@@ -60,6 +63,7 @@ def test_blocks_of_moves_over_a_long_horizon_of_an_unstable_plant(blocks):
         np.testing.assert_array_equal(plan.inputs[start:end], np.tile(plan.inputs[start], (end - start, 1)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["osqp", "clarabel"])
 def test_the_forms_with_states_kept_agree_with_the_condensed_one(solver):
     compared = 0

@@ -39,6 +39,7 @@ def compared(make, x, found, parameters, signals, step=1e-4):
         assert distance(getattr(found, name), expected) < REQUIRED, name
 
 
+@pytest.mark.long
 @pytest.mark.quick(9)
 @pytest.mark.parametrize(
     ("limits", "signals", "active"),
@@ -231,6 +232,7 @@ def test_held_inputs_do_not_hide_how_near_the_next_active_set_is():
         assert near.input_by_state == pytest.approx(found.input_by_state, abs=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [1.0, 1e3])
 def test_where_derivatives_are_called_smooth_no_limit_is_passed(scale):
     # near these states an input begins or ceases to act while a soft limit is violated
@@ -255,6 +257,7 @@ def test_dependent_constraints_that_part_are_flagged():
     assert np.isnan(found.along([1.0, 0.0]).cost)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_at_the_corners_of_a_law_rates_are_its_gains_or_none(kind):
     ((_, found),) = rows(60, 3, (kind,))

@@ -31,6 +31,7 @@ def test_region_counts_agree_with_the_literature_of_solvers(mpc, regions):
     assert len(partition) == regions
 
 
+@pytest.mark.long
 @pytest.mark.quick(9)
 @pytest.mark.parametrize(
     "mpc", [integrator(3, 0.1), integrator(8, 1.0), scaled_suspension(2), scaled_suspension(5),
@@ -44,6 +45,7 @@ def test_compiled_and_numpy_explorations_find_the_same_active_sets(mpc):
     np.testing.assert_allclose(fast.law[order], slow.law, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.quick(3)
 @pytest.mark.parametrize("seed", range(20))
 def test_law_is_optimal_covers_the_feasible_set_and_does_not_overlap(seed):
@@ -77,6 +79,7 @@ def test_law_is_optimal_covers_the_feasible_set_and_does_not_overlap(seed):
     assert (np.abs(y * slack) / force[:, None]).max() <= 1e-6
 
 
+@pytest.mark.long
 def test_more_than_128_constraints():
     A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
     mpc = LinearMPC(A, B, Q=np.eye(2), R=[[0.1]], horizon=25, X=box([5, 5]), U=box([1]))
@@ -101,6 +104,7 @@ def test_duplicate_and_touching_constraints_change_nothing():
     law_is_optimal_on_samples(doubled, partition, 1000)
 
 
+@pytest.mark.long
 def test_dependent_active_constraints_are_exchanged():
     # three inputs act on two states through dependent rows: many active sets have no full rank
     A = np.array([[1.0, 1.0], [0.0, 1.0]])
@@ -217,6 +221,7 @@ def test_bad_parameter_sets_are_refused(theta_set, message):
         solve_mpqp(integrator(2, 0.1).build(), theta_set)
 
 
+@pytest.mark.long
 def test_terminal_equality_is_eliminated():
     mpc = integrator(6, 0.1, terminal_set=box([0.0, 0.0]))
     problem = mpc.build()

@@ -55,6 +55,7 @@ def test_regions_and_laws_do_not_depend_on_units(natural, units):
     np.testing.assert_allclose(v / su, u, atol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 6, 7, 8])  # number 7 has 1461 regions: rows are left out on the way
 def test_redundant_duplicate_and_shuffled_rows_change_nothing(seed):
     mpc, rng = random_plant(seed), np.random.default_rng(seed)
@@ -78,6 +79,7 @@ def test_redundant_duplicate_and_shuffled_rows_change_nothing(seed):
             np.testing.assert_allclose(u, v, atol=1e-7)
 
 
+@pytest.mark.long
 def test_a_repeat_finds_the_regions_in_the_same_order():
     mpc = random_plant(7)
     first, second = (solve_mpqp(mpc.build(), mpc.X) for _ in range(2))
@@ -108,6 +110,7 @@ def test_four_constraints_in_three_dimensions_do_not_overlap(solve):
     law_is_optimal_on_samples(mpc, partition, 300)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solve", [solve_mpqp, solve_slowly])
 @pytest.mark.parametrize(
     ("A", "b"),
@@ -203,6 +206,7 @@ def test_a_problem_whose_unconstrained_optimum_is_zero_everywhere():
     assert membership(partition, np.array([[0.50001]])).min() < 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [10_000, *range(20_000, 20_010)])  # 10 000: a thin region behind a facet
 def test_hard_random_problems_are_solved_as_the_online_qp_solves_them(seed):
     from mpqp_adversary import KINDS, judge, plain

@@ -123,6 +123,7 @@ def test_the_explicit_law_is_the_online_one():
     np.testing.assert_allclose(law(np.array(states)), controller(np.array(states)), atol=1e-7)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(CC is None, reason="no C compiler")
 def test_c_code_and_a_stored_law_are_the_online_one(tmp_path):
     controller = cart(horizon=5)
@@ -144,6 +145,7 @@ def test_c_code_and_a_stored_law_are_the_online_one(tmp_path):
         assert u == pytest.approx(controller(x), abs=1e-7)
 
 
+@pytest.mark.long
 def test_an_explicit_loop_keeps_its_limits_over_thousands_of_steps_at_the_vertices():
     controller = cart(horizon=5)
     law = controller.explicit()

@@ -77,6 +77,7 @@ def test_a_parameter_beside_the_regions_of_a_law_by_rounding_is_inside(beyond, i
         assert (law.locate([2 * size * (1 + beyond)]) >= 0) == inside
 
 
+@pytest.mark.long
 def test_limits_that_are_relaxed_by_no_more_than_they_must_leave_a_plan_to_be_found():
     three = np.eye(3) + 0.1 * np.eye(3, k=1)
     regulator = LinearMPC(

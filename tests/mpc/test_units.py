@@ -22,6 +22,7 @@ def random_problem(rng):
     return data, rng.uniform(-6, 6, n)
 
 
+@pytest.mark.long
 def test_plans_are_the_same_in_other_units():
     statuses = set()
     for i in range(60):

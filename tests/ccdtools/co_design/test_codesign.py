@@ -45,6 +45,7 @@ def test_the_design_moves_towards_more_authority_and_a_better_return(result):
     assert result.history.model_return[-1] > result.history.model_return[0] + 15  # −73 at p = 1, −25 at the bound
 
 
+@pytest.mark.long
 def test_the_best_evaluated_iterate_is_returned(result):
     history = result.history
     assert not history.diverged[1:].any()
@@ -73,6 +74,7 @@ def test_the_policy_returned_is_a_controller_at_the_design_found(result, problem
     assert trajectory.returns(problem.objective).mean() == pytest.approx(result.history.model_return.max(), rel=0.05)
 
 
+@pytest.mark.long
 def test_a_design_that_only_gets_worse_gives_back_the_start(problem, illustrative, clone):
     # A hasty rate in the wrong direction: the first iterate stays the best.
     agent = clone(illustrative)
@@ -95,6 +97,7 @@ def test_the_agent_passed_in_is_not_changed(problem, illustrative, clone):
     assert all(parameter.grad is None for parameter in agent.parameters())
 
 
+@pytest.mark.long
 def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative, clone):
     found = run(problem, clone(illustrative), design=[1.7], design_rate=0.0)
     told = next(line for line in found.describe() if line.startswith("gain on the model: "))

@@ -29,6 +29,7 @@ def weak(illustrative):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("method", TRAJECTORIES, ids=lambda method: method.name)
 def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(method, illustrative):
@@ -41,6 +42,7 @@ def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(m
     assert found.closed_loop is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_nested_trajectories_leave_a_first_design_that_cannot_keep_the_limits(unit):
     # from rest a constant force f moves a mass on a spring k to f / k and beyond: a soft spring cannot hold it in X
@@ -73,6 +75,7 @@ def test_limits_are_named_as_the_plant_and_the_user_name_them():
         assert "travel [m] ≤ 0.2" in "\n".join(found.notes)
 
 
+@pytest.mark.long
 def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustrative):
     case = CASES["two budgets"]
     problem = case.problem()
@@ -82,6 +85,7 @@ def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustra
     assert problem.design.violation(found.design) <= 1e-9
 
 
+@pytest.mark.long
 def test_a_program_that_is_stopped_says_so_and_goes_on_with_more_iterations():
     few, many = (codesigned(mass(), cc.Simultaneous(runs=2, starts=1, iterations=n)) for n in (2, 200))
     assert few.status.name == "BUDGET_SPENT"
@@ -111,6 +115,7 @@ def test_a_search_of_a_plant_without_a_controller_names_the_design():
         codesigned(unreached(), cc.Search(of=lambda p: float(p[0]), evaluations=12))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("library", "evaluations"), [("cma", 1), ("cma", 7), ("cma", 50), ("bayesian", 1), ("bayesian", 9)]
 )
@@ -128,6 +133,7 @@ def test_a_search_asks_as_often_as_it_may_and_first_at_its_start(library, evalua
     assert abs(found.design[0] - 1.3) <= 0.05 + 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("library", ["cma", "bayesian"])
 def test_a_search_is_not_led_by_designs_without_a_value_however_large_costs_are(library):
     pytest.importorskip({"cma": "cma", "bayesian": "optuna"}[library])
@@ -221,6 +227,7 @@ def test_the_riccati_equation_refuses_weights_that_are_not_those_of_the_cost():
         codesigned(replace(mass(), objective=own), cc.Nested("riccati"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bounds", [(0.3, 7.9), (0.1, 6.3)])
 def test_whole_numbers_of_odd_ranges_are_held_by_trajectories(bounds):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
@@ -232,6 +239,7 @@ def test_whole_numbers_of_odd_ranges_are_held_by_trajectories(bounds):
         assert found.design[0] == number
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", [cc.Nested(runs=32), cc.Nested("mpc", runs=4, horizon=5)], ids=lambda one: one.name)
 def test_a_whole_number_at_a_bound_that_the_return_rises_across_holds_the_design(method):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)

@@ -18,6 +18,7 @@ from ccdtools import (
 from ccdtools.controllers import LinearFeedback
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_nested_lqr_is_not_settled_where_a_constant_input_returns_more(unit):
     x, u, w, k = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k")

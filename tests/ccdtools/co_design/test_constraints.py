@@ -57,6 +57,7 @@ def test_an_infeasible_first_design_is_refused():
         codesign(problem, agent=untrained(problem), design=[4, 4], rng=np.random.default_rng(0))
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("method", "gradient"), [("pathwise", "network_input"), ("ppo", "pathwise"), ("pathwise+ppo", "network_input")]

@@ -72,6 +72,7 @@ def test_the_checker_of_stable_baselines3_has_nothing_to_say(illustrative, suspe
             checker.check_env(DesignEnv(problem, None if drawn else problem.design.centre))
 
 
+@pytest.mark.long
 def test_an_agent_of_stable_baselines3_is_compared_in_three_lines(suspension):
     PPO = pytest.importorskip("stable_baselines3").PPO
     problem = replace(suspension.problem(), scenarios=FixedStart([0.01, 0.1, 0.01, 0.1], Gaussian([0.0])))
@@ -274,6 +275,7 @@ def vectors(problem, design=None, runs=5):
     return DesignVectorEnv(problem, runs, design), SyncVectorEnv([lambda: DesignEnv(problem, design)] * runs)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("drawn", [True, False])
 @pytest.mark.parametrize("divergence", [1000.0, 1.5])
 def test_environments_that_step_together_are_those_that_step_in_turn(illustrative, drawn, divergence):

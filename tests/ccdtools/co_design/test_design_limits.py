@@ -63,6 +63,7 @@ def pair():
     return [(problem, cloned(problem)) for problem in (native(), in_parts())]
 
 
+@pytest.mark.long
 def test_the_expert_does_the_same_in_both_statements():
     own, other = (expert_dataset(problem, samples=30, sets="auto", rng=np.random.default_rng(0))
                   for problem in (native(), in_parts()))  # fmt: skip
@@ -70,6 +71,7 @@ def test_the_expert_does_the_same_in_both_statements():
     np.testing.assert_allclose(own.actions[:, 0], other.actions[:, 0] * full_force(other.inputs[:, 2:].T), atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("method", ["pathwise", "pathwise+ppo"])
 def test_a_co_design_ends_where_that_of_the_plant_in_parts_does(pair, method):
@@ -128,6 +130,7 @@ def test_every_controller_stays_within_the_limits_of_its_design_and_uses_them(p,
         assert u.min() == pytest.approx(range_of(p)[0], rel=1e-6), name
 
 
+@pytest.mark.long
 def test_the_explicit_law_of_a_design_is_its_mpc():
     problem = native()
     data = expert_dataset(problem, samples=12, expert="explicit", horizon=3, rng=np.random.default_rng(0), sets="lqr")

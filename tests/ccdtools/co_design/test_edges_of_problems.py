@@ -43,6 +43,7 @@ def test_an_expert_teaches_nothing_beyond_two_half_widths():
     assert 1.3 < np.abs(data.inputs[:, 0]).max() <= 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("reach", "moved"), [(0.6, False), (0.08, True)])
 def test_candidates_are_moved_into_their_sets_where_fewer_than_a_quarter_lie_there(reach, moved):
     """LQR keeps |x| < reach alone, where half an input holds half a state."""

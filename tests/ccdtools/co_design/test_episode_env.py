@@ -29,6 +29,7 @@ from ccdtools.plants import from_gymnasium
 from learning import CheckpointError, train
 
 
+@pytest.mark.long
 def test_an_agent_from_scratch_learns_a_problem_and_is_its_policy(suspension):
     problem = suspension.problem()
     design = problem.design.centre
@@ -146,6 +147,7 @@ def test_an_episode_that_diverges_costs_what_staying_there_would():
     assert -float(reward[row]) == pytest.approx(100 * cost)
 
 
+@pytest.mark.long
 def test_an_agent_does_not_learn_to_leave_what_costs_little():
     """Leaving takes two samples, while the other state costs as much in each sample, whatever is done."""
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")

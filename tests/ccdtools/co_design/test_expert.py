@@ -43,6 +43,7 @@ def test_the_next_nominal_state_stays_in_the_feasible_set(study, expert_data):
     assert all(sets.at(pi).contains(xi, tol=1e-6) for xi, pi in zip(following, p))
 
 
+@pytest.mark.long
 def test_inputs_lie_within_their_bounds(study, expert_data):
     lower, upper = study.problem().input_bounds
     u = expert_data(study).actions

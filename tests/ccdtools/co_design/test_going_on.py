@@ -44,6 +44,7 @@ class Staying:
         return self if result.status is CoDesignStatus.WORSE_THAN_BASELINE else None
 
 
+@pytest.mark.long
 def test_behind_a_baseline_the_next_climb_begins_at_its_design():
     problem, method = mass(), Staying()
     best, _ = best_design(problem)
@@ -54,6 +55,7 @@ def test_behind_a_baseline_the_next_climb_begins_at_its_design():
     assert any("staying ended with worse than a baseline; staying went on and gained" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_a_result_is_named_by_what_was_asked_for_and_what_went_on():
     found = codesign(mass(), method=Named("asked", Staying()), design=[2.8], rng=np.random.default_rng(0))
     assert found.method == "asked, then going on"
@@ -74,6 +76,7 @@ def bouncing():
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize(("make", "by"), [(mass, "pathwise"), (bouncing, "ppo")])
 def test_a_gradient_that_leads_is_followed_on_and_another_gives_way_to_ppo(make, by):

@@ -63,6 +63,7 @@ def test_a_limit_that_binds_is_kept_about_as_by_mpc_and_not_without_the_penalty(
     assert free.design[0] < 1.2 > kept.design[0]  # both move the design, away from the heavy start
 
 
+@pytest.mark.long
 def test_a_tolerance_that_cannot_be_met_is_said_with_its_cure(agent):
     rough = cc.FixedStart([-1.5, 0.4], cc.Gaussian([3.0]))  # noise beyond what the input can brake
     result = designed(rail(limit_tolerance=(0.0, 0.0), scenarios=rough), agent)

@@ -61,6 +61,7 @@ def in_the_long_run(problem, p, noise=0.1):
     return float(np.trace(P @ E @ E.T) + np.trace(K.T @ H @ K @ after))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mean", [0.0, 1.5])
 def test_the_objective_is_the_mean_return_of_the_loop_with_its_filter(mean):
     problem = mass(steps=60, scenarios=FixedStart([1.0, 0.0], Gaussian([1.0], mean=[mean])))
@@ -70,6 +71,7 @@ def test_the_objective_is_the_mean_return_of_the_loop_with_its_filter(mean):
     assert found.objective == pytest.approx(summary.mean, rel=0.03)
 
 
+@pytest.mark.long
 def test_lqg_acts_on_a_stated_mean_of_the_disturbance():
     narrow = DesignSpace(["k", "c"], [1.0, 1.0], [1.0001, 1.0])
     pushed, level = (mass(narrow, scenarios=FixedStart([1.0, 0.0], Gaussian([1.0], mean=[d]))) for d in (1.5, 0.0))
@@ -139,6 +141,7 @@ def test_a_start_that_is_known_exactly_is_known_whatever_its_digits(x0):
     assert np.abs(found.P0).max() < 1e-20
 
 
+@pytest.mark.long
 def test_a_terminal_cost_is_part_of_what_lqg_costs():
     def summed(terminal):
         """Objective and mean return with and without a cost of the last state."""
@@ -164,12 +167,14 @@ def drive(**changes):
     return CoDesignProblem(discretise(plant), **(stated | changes))
 
 
+@pytest.mark.long
 def test_lqg_that_forgets_saturation_is_held_against_a_loop_that_does_not():
     found = codesign(drive(), method=Nested("lqg", starts=1), rng=np.random.default_rng(0))
     assert found.status.name == "WORSE_THAN_BASELINE"
     assert any("nested LQR, behind the filter" in one.name and one.gain.mean > 0.3 for one in found.baselines)
 
 
+@pytest.mark.long
 def test_a_direction_of_a_sensor_is_designed_though_nothing_else_depends_on_it():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     seen = [ca.cos(p) * x[0] + ca.sin(p) * x[1]]
@@ -220,6 +225,7 @@ def test_a_measurement_that_does_not_fit_is_refused(changes, words):
         mass(**changes)
 
 
+@pytest.mark.long
 def test_lqg_needs_a_measurement():
     with pytest.raises(InputError, match="measurement"):
         codesign(mass(measurement=None), method=Nested("lqg"), rng=np.random.default_rng(0))

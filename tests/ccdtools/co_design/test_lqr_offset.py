@@ -80,6 +80,7 @@ def test_sums_and_stacks_state_the_means_of_their_terms():
     assert offsets[0] == pytest.approx(offsets[1])
 
 
+@pytest.mark.long
 def test_nested_lqr_finds_the_best_design_with_the_offset():
     problem = carriage(Gaussian([0.3], mean=[3.0]))
     found = codesign(problem, method="nested", rng=np.random.default_rng(0))

@@ -58,6 +58,7 @@ def found(problem):
     return compare_methods(problem, {**QUICK, "refusing": Refusing()}, seed=3, reference="nested")
 
 
+@pytest.mark.long
 def test_every_method_is_a_row_and_a_refusal_says_why(found):
     assert [row.name for row in found] == ["plant first", "nested", "search", "refusing"]
     assert found["refusing"].result is None
@@ -78,6 +79,7 @@ def test_a_method_with_a_judge_of_its_own_is_measured_on_the_problem_as_the_othe
     assert judged == pytest.approx(alone, rel=0.1)  # louder starts cost nine times as much
 
 
+@pytest.mark.long
 def test_nested_and_search_reach_the_exact_optimum(found, problem):
     best, _ = best_design(problem)
     for name in ("nested", "search"):
@@ -129,11 +131,13 @@ def test_the_table_is_written_and_read_back(found, tmp_path):
     assert float(rows[0]["difference_percent"]) == pytest.approx(percent)
 
 
+@pytest.mark.long
 def test_the_picture_is_drawn_for_any_number_of_parameters(found, tmp_path):
     found.plot().savefig(tmp_path / "shown.png")
     assert (tmp_path / "shown.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_a_notebook_shows_the_picture_that_pyplot_knows_nothing_of(found):
     formatters = pytest.importorskip("IPython.core.formatters")
     assert formatters.PNGFormatter()(found.plot()).startswith(b"\x89PNG")
@@ -166,6 +170,7 @@ def test_an_interruption_is_not_taken_for_a_refusal(problem):
         compare_methods(problem, {"swallowing": Swallowing(), "refusing": Refusing()})
 
 
+@pytest.mark.long
 def test_what_is_there_is_told_after_every_method(problem, found):
     told = []
     chosen = {name: QUICK[name] for name in ("plant first", "nested")}
@@ -176,6 +181,7 @@ def test_what_is_there_is_told_after_every_method(problem, found):
     assert last["plant first"].difference.mean == found["plant first"].difference.mean
 
 
+@pytest.mark.long
 def test_other_units_change_neither_order_nor_per_cent(problem, found):
     # costs in cents instead of euros: all that is relative stays
     priced = replace(problem, objective=QuadraticObjective(100 * problem.objective.Q, 100 * problem.objective.R))
@@ -271,6 +277,7 @@ class HalfGain:
         return replace(found, controller=LinearFeedback(found.controller.K / 2))
 
 
+@pytest.mark.long
 def test_a_method_that_wins_is_said_to_win_and_by_what(problem):
     design = best_design(problem)[0]
     pair = compare_methods(problem, {"half": HalfGain(), "nested": QUICK["nested"]}, design=design, reference="half")
@@ -329,6 +336,7 @@ def marks(figure, comparison):
     return np.concatenate(drawn)[-len(comparison) :], ax
 
 
+@pytest.mark.long
 def test_designs_of_two_parameters_are_drawn_on_a_map():
     table = compare_methods(CASES["a mass budget"].problem(), FEW, seed=0)
     drawn, ax = marks(table.plot(), table)

@@ -38,6 +38,7 @@ def test_an_optimum_without_a_controller_has_no_slope():
         cc.optimum_sensitivity(unreached, 2.0, design=[1.5], runs=10)
 
 
+@pytest.mark.long
 def test_the_riccati_equation_needs_no_disturbance():
     x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
     dynamics = ca.vertcat(x[1], -2 * x[0] - 0.3 * x[1] + (1 + 0.5 * p) * u / p)
@@ -77,6 +78,7 @@ def test_what_is_no_agent_is_refused_before_anything_runs(make):
         make()
 
 
+@pytest.mark.long
 def test_limits_that_the_best_design_keeps_cost_no_more_evaluations():
     problem = replace(mass(), X=([-1.3, -1.7], [1.3, 1.7]), limit_tolerance=(0.05, 0.05))
     free = cc.codesign(replace(problem, limit_tolerance="off"), method=cc.Nested(runs=200, starts=1),
@@ -91,6 +93,7 @@ def test_limits_that_the_best_design_keeps_cost_no_more_evaluations():
     assert close.evaluations == free.evaluations == len(close.history.iteration)
 
 
+@pytest.mark.long
 def test_a_trade_off_over_nothing_is_refused_and_one_over_the_length_of_episodes_is_not():
     problem = next(iter(CASES.values())).problem()
     with pytest.raises(cc.InputError, match="values: got none"):

@@ -54,6 +54,7 @@ def test_a_gain_found_with_the_plant_keeps_a_limit_that_lqr_by_the_weights_break
     assert not lqr.limits.kept
 
 
+@pytest.mark.long
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK, GAIN], ids=["riccati", "lqr", "gain"])

@@ -40,6 +40,7 @@ def found():
     return trade_off(priced(), [0.0, 2.0, 8.0], method=NESTED)
 
 
+@pytest.mark.long
 def test_designs_over_a_price_are_the_exact_ones(found):
     np.testing.assert_allclose(found.designs[:, 0], [exact_best(10.0, price) for price in found.values], atol=0.01)
 
@@ -57,6 +58,7 @@ def test_a_trade_off_is_shown(found, tmp_path):
     assert (tmp_path / "shown.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_a_function_of_a_weight_gives_the_same_as_prices():
     beside = trade_off(priced, [2.0, 8.0], method=NESTED)
     np.testing.assert_allclose(beside.designs[:, 0], [exact_best(10.0, price) for price in (2.0, 8.0)], atol=0.01)
@@ -74,6 +76,7 @@ def test_trade_offs_without_a_meaning_are_refused(args, argument):
     assert error.value.argument == argument
 
 
+@pytest.mark.long
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("inner", ["riccati", "lqr"])
 def test_the_slope_of_the_optimum_is_that_of_the_exact_one(inner):

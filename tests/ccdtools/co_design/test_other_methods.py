@@ -19,6 +19,7 @@ def codesigned(problem, method, seed=0, **given):
     return cc.codesign(problem, method=method, rng=np.random.default_rng(seed), **given)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["a mass budget", "two budgets"])
 def test_trajectory_and_design_in_one_program_are_the_nested_ones(name):
     case = CASES[name]
@@ -141,6 +142,7 @@ def test_any_function_of_a_design_can_be_searched():
     assert found.objective == pytest.approx(0, abs=1e-3)
 
 
+@pytest.mark.long
 def test_methods_with_the_same_seed_meet_the_same_scenarios():
     problem = mass()
     first, second = (codesigned(problem, method, seed=7, design=[1.0]) for method in ("nested", cc.Nested("riccati")))
@@ -155,6 +157,7 @@ def test_trajectories_refuse_what_they_cannot_honour(illustrative):
             codesigned(changed, "simultaneous")
 
 
+@pytest.mark.long
 def test_limits_that_no_inputs_keep_are_told(illustrative):
     problem = illustrative.problem()
     weak = replace(problem, X=([-10, -2], [5, 0.05]), U=([-0.05], [0.05]), steps=20)
@@ -177,6 +180,7 @@ def test_a_result_is_pickled_and_told():
     assert found.evaluations == len(found.history.iteration) or found.evaluations > 0
 
 
+@pytest.mark.long
 def test_a_body_that_is_free_to_drift_is_not_designed_by_what_it_does_alone():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     cart = cc.Plant(x, u, w, p, ca.vertcat(x[1], (u + w) / p), cc.DesignSpace(["m"], [0.5], [3]), dt=0.1)
@@ -184,6 +188,7 @@ def test_a_body_that_is_free_to_drift_is_not_designed_by_what_it_does_alone():
     assert "known ahead" in codesigned(problem, "sequential").criterion
 
 
+@pytest.mark.long
 def test_an_unstable_plant_is_not_designed_by_what_it_does_alone(illustrative):
     problem = replace(illustrative.problem(), steps=8)  # too short for a run to be lost
     assert "known ahead" in codesigned(problem, "sequential").criterion

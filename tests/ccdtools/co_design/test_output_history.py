@@ -82,6 +82,7 @@ KINDS = pytest.mark.parametrize(
 )  # fmt: skip
 
 
+@pytest.mark.long
 @KINDS
 def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(kind, stiff, rng):
     problem = of_kind(kind, stiff)
@@ -99,6 +100,7 @@ def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(kind, s
         np.testing.assert_allclose(z, np.hstack([x, *seen, *applied]), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.long
 @KINDS
 def test_the_states_are_the_plant_and_what_its_filter_believes(kind, stiff, rng):
     problem = replace(of_kind(kind, stiff), scenarios=FixedStart([1.0, 0.0], Gaussian([1.0], mean=[0.5])))
@@ -163,6 +165,7 @@ def test_without_disturbances_the_estimate_comes_near_the_state():
     np.testing.assert_allclose([low[:2], high[:2]], [[-22, -20], [22, 20]])
 
 
+@pytest.mark.long
 def test_a_law_of_the_estimate_returns_as_much_as_behind_its_filter():
     problem = stated(lambda x, u, p, f: [u - f], stiff=True, scenarios=RandomStarts(Gaussian([1, 1]), Gaussian([1.0])))
     p = problem.design.centre

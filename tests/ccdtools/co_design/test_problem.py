@@ -96,6 +96,7 @@ def test_inputs_must_have_independent_bounds(illustrative):
         replace(problem, model=two, U=diamond, objective=QuadraticObjective(np.eye(2), np.eye(2)))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_plant_without_a_design_is_a_task_of_control_alone(fixed):

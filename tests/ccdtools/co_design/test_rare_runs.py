@@ -70,6 +70,7 @@ class Promising:
         )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("part", "kept"), [(0.0, True), (0.3, True), (0.9, False)])
 def test_a_return_that_the_closed_loop_does_not_keep_is_unforeseen(part, kept):
     problem = mass()

@@ -99,6 +99,7 @@ def test_an_input_that_counts_by_its_square_has_a_secant_where_its_tangent_is_no
     assert "tangent at rest returns none, of the secant" in str(found)
 
 
+@pytest.mark.long
 def test_nested_takes_the_secant_where_it_is_better_and_says_both():
     own = problem("friction")
     few = dict(runs=16, starts=1, evaluations=2)
@@ -112,6 +113,7 @@ def test_nested_takes_the_secant_where_it_is_better_and_says_both():
     assert not any("secant" in note for note in tangent.notes)
 
 
+@pytest.mark.long
 def test_nested_has_the_offset_where_motion_has_a_mean():
     own = problem("damper of one side", start=0.0, noise=2.0)
     few = dict(runs=16, starts=1, evaluations=2)

@@ -47,6 +47,7 @@ def hidden(problem, asked=None, noise=0.0):
     return replace(problem, model=box)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["suspension", "two_tanks", "pendulum_on_cart"])
 def test_slopes_are_those_of_the_plant_at_bounds_too(name):
     problem = load_study(name).problem()
@@ -59,6 +60,7 @@ def test_slopes_are_those_of_the_plant_at_bounds_too(name):
             np.testing.assert_allclose(found / size, exact / size, atol=1e-5)
 
 
+@pytest.mark.long
 def test_the_gradient_of_a_step_is_that_of_the_plant():
     problem = load_study("two_tanks").problem()
     other = hidden(problem)
@@ -77,6 +79,7 @@ def test_the_gradient_of_a_step_is_that_of_the_plant():
         np.testing.assert_allclose(found, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max(initial=0.0))
 
 
+@pytest.mark.long
 def test_a_design_is_that_of_the_open_plant_and_no_other_design_than_of_the_box_is_asked_for():
     problem = replace(load_study("dc_servo").problem(), limit_tolerance="off", steps=10)
     asked = []
@@ -120,6 +123,7 @@ def gears(advance=None, **change):
     return CoDesignProblem(box, **{**given, **change})
 
 
+@pytest.mark.long
 def test_whole_numbers_are_asked_for_as_they_are():
     found = codesign(gears(), method=Nested(runs=16), rng=np.random.default_rng(0))
     assert found.design[0] == np.round(found.design[0])
@@ -186,6 +190,7 @@ def test_a_simulator_is_not_asked_for_what_is_refused():
     assert not asked
 
 
+@pytest.mark.long
 def test_noise_of_a_simulator_is_a_thousand_times_as_large_in_a_slope():
     problem = load_study("suspension").problem()
     exact = problem.model.matrices(problem.design.centre)[0]
@@ -228,6 +233,7 @@ def test_a_simulator_that_rests_elsewhere_is_told_how_to_count_from_there():
             ask(BlackBox(advance, nx=2, nu=1, dt=0.1))
 
 
+@pytest.mark.long
 def test_a_length_is_designed_in_an_environment_of_gymnasium():
     gymnasium = pytest.importorskip("gymnasium")
 

@@ -139,6 +139,7 @@ def test_the_experts_data_stay_within_the_sets_of_the_pushed_plant():
     assert (np.abs(after) <= 1 + 1e-6).mean() > 0.98
 
 
+@pytest.mark.long
 def test_nonlinear_mpc_settles_where_the_cost_is_least():
     problem = problem_of(0.4, swing=True)
     law = nonlinear_mpc(problem, DESIGN, horizon=20, iterations=None)
@@ -153,6 +154,7 @@ def test_nonlinear_mpc_settles_where_the_cost_is_least():
     assert x @ Q @ x + u @ R @ u < 1.001 * best
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("controller", ["lqr", "mpc", "nmpc"])
 @pytest.mark.parametrize("swing", [False, True])
 def test_slopes_by_the_design_move_the_rest_along(controller, swing):

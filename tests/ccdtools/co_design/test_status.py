@@ -127,6 +127,7 @@ def test_where_the_gradient_is_wrong_the_design_follows_finite_differences(mass_
     assert any("finite differences" in line for line in found.describe())
 
 
+@pytest.mark.long
 def test_runs_that_nothing_can_recover_are_named(illustrative, clone):
     problem = illustrative.problem()
     lost = replace(
@@ -161,6 +162,7 @@ def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone
     np.testing.assert_allclose(found.agent.log_std.exp().detach().numpy(), 0.02, rtol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("risk", "words"),

@@ -117,6 +117,7 @@ def test_wrong_cases_are_refused(make, argument):
 # --- designs ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_following_the_measure_leads_to_the_minimax_of_scipy():
     """Design and gain by L-BFGS on exact costs, beside the epigraph form by SLSQP; two masses bind."""
     least, k, gain = minimax()

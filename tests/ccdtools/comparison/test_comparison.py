@@ -70,6 +70,7 @@ def test_the_baselines_are_four(controllers):
     assert kinds == [Passive, LinearFeedback, PID, LinearMPC]
 
 
+@pytest.mark.long
 def test_every_controller_has_a_score_in_order(scores, controllers):
     assert list(scores) == list(controllers)
     assert scores["LQR"].summary.n == 120
@@ -120,6 +121,7 @@ def test_violations_are_the_fraction_of_states_outside_X(illustrative, controlle
     assert score.violations == pytest.approx(outside, abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_table_says_how_far_outside_X_and_who_leaves_it_further(illustrative, controllers, scenario):
     problem = illustrative.problem()
     X = type(problem.X).from_bounds([-9.0, -0.3], [9.0, 0.9])
@@ -336,6 +338,7 @@ def test_a_controller_that_takes_rows_of_states_alone_is_compared(illustrative, 
     assert table["rows"].step_time > 0
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_the_exported_law_is_timed_where_there_is_one():
     plant = plant_from_matrices([[1.0, 0.1], [-0.2, 0.95]], [[0.0], [0.1]], dt=0.1, continuous=False)

@@ -99,6 +99,7 @@ def test_a_controller_that_was_changed_is_computed_anew_and_its_old_numbers_stay
     assert before.items() <= {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}.items()
 
 
+@pytest.mark.long
 def test_every_process_knows_a_controller_again(tmp_path):
     kept = []
     for seed in ("1", "2"):

@@ -43,6 +43,7 @@ def apart(figure):
     return not any(a.overlaps(b) for group in groups for i, a in enumerate(group) for b in group[:i])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("laws", [2, 12])
 def test_long_names_do_not_overlap_in_the_figures(laws):
     names = [f"nonlinear MPC with a Kalman filter, imitated, number {i}" for i in range(laws)]
@@ -53,6 +54,7 @@ def test_long_names_do_not_overlap_in_the_figures(laws):
     assert apart(table.plot().figure)
 
 
+@pytest.mark.long
 def test_a_page_says_what_was_compared(tmp_path):
     class Law:
         """A law of the user's own, without a repr."""

@@ -53,6 +53,7 @@ def test_a_simulator_that_dies_without_input_loses_no_controller_under_which_it_
     assert len(list(tmp_path.iterdir())) == 4
 
 
+@pytest.mark.long
 def test_a_scenario_in_which_every_controller_stops_stays(tmp_path):
     dead = Scenario(stopping(3.0), [[1.0], [2.0]], [[0.0], [9.0], [0.0]])
     laws = {"LQR": lambda p, rng: LinearFeedback([[0.1]]), "learned": LAWS["learned"]}
@@ -160,6 +161,7 @@ t.found({{"LQR": t.LAWS["LQR"], "learned": dying}}, folder=sys.argv[1])
 """
 
 
+@pytest.mark.long
 def test_a_killed_experiment_goes_on_where_it_was(tmp_path):
     script = KILLED.format(folder=str(Path(__file__).parents[2] / "cases"))
     ended = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, check=False)
@@ -259,6 +261,7 @@ def test_a_damaged_record_is_named(tmp_path):
         found(folder=tmp_path, seeds=1)
 
 
+@pytest.mark.long
 def test_a_process_that_dies_is_named(tmp_path):
     def dies(design, rng):
         os._exit(9)

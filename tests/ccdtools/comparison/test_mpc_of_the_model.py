@@ -20,6 +20,7 @@ def test_on_a_linear_model_it_is_linear_mpc():
         assert found.inputs[0] == pytest.approx(linear.solve(x).inputs[0], abs=1e-5 * np.ptp(problem.input_bounds))
 
 
+@pytest.mark.long
 def test_a_pole_far_from_upright_is_caught_for_less_than_by_lqr():
     study = load_study("pendulum_on_cart")
     problem, p = study.problem(), study.p0

@@ -95,6 +95,7 @@ def test_the_c_code_of_a_policy_gives_its_mean_action(policy, rng, tmp_path, mon
         np.testing.assert_allclose(np.asarray(compiled(x)).ravel(), policy(x), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.long
 def test_torch_exports_the_agent_of_a_policy_as_its_mean_action(policy, rng):
     x = rng.uniform(-3, 3, (20, 2))
     observations = torch.tensor(np.c_[x, np.full(20, 2e4)], dtype=torch.float32)

@@ -227,6 +227,7 @@ def driven(law, y, u):
     return np.stack([law(y=y[:, k], u_prev=last[:, k]) for k in range(y.shape[1])], axis=1)
 
 
+@pytest.mark.long
 @needs_compiler
 @pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-10), ("float", 1e-3)])
 @pytest.mark.parametrize("n", [1, 2])
@@ -248,6 +249,7 @@ def test_the_c_code_of_a_filter_sees_a_difference_that_is_nearly_known(tmp_path,
     assert np.ptp(found[:, 0]) > 10 * tolerance
 
 
+@pytest.mark.long
 @needs_compiler
 @pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-6)])
 @pytest.mark.parametrize("before", ["sent + 1 + POLICY_NY", "u"], ids=["as applied", "its own"])

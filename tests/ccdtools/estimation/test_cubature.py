@@ -136,6 +136,7 @@ def test_all_runs_at_once_are_the_runs_one_by_one():
         np.testing.assert_allclose(filter_.filter(y[i], u[i]).means[0], together.means[i], rtol=1e-10, atol=1e-13)
 
 
+@pytest.mark.long
 def test_errors_are_as_large_as_is_stated():
     states, y, u = a_record(300, seed=3)
     given = GIVEN | {"W": 1e-14 * np.ones(4)}

@@ -48,6 +48,7 @@ def test_the_gain_is_that_of_python_control(name):
     assert np.abs(steady.poles).max() < 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MEASURED)
 def test_a_cubature_filter_of_the_plant_itself_finds_its_state(name):
     make, measured = MEASURED[name]

@@ -54,6 +54,7 @@ def test_the_sampled_model_agrees_with_matrices_written_down_without_casadi(name
             np.testing.assert_allclose(own, other, rtol=0, atol=1e-9 * np.abs(other).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_real_plant_agrees_with_dynamics_written_down_without_casadi(name):
     s = statement(name)

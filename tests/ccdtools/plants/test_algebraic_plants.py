@@ -35,12 +35,14 @@ def rate(plant, x, u=0.0, p=1.0):
     return float(plant.right_hand_side(x, u, [], p))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_trajectories_are_those_of_idas_in_any_units(name):
     case = CASES[name]()
     assert apart(case.by_plant(), case.by_idas()) < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["pendulum", "diode", "reactor", "column"])
 def test_derivatives_are_those_of_the_implicit_function(name):
     case = CASES[name]()
@@ -111,6 +113,7 @@ def test_equations_one_after_the_other_are_as_large_as_they_are_many():
     assert rate(plants[2], 1.5) == pytest.approx(z, rel=1e-12)
 
 
+@pytest.mark.long
 def test_random_equations_are_met_or_there_is_no_number(rng):
     found = 0
     for _ in range(40):
@@ -146,6 +149,7 @@ def springs(by_hand: bool) -> Plant:
     return Plant(x, u, w, k, rates, space, dt=0.1, outputs=[force], **given)
 
 
+@pytest.mark.long
 def test_a_plant_with_affine_equations_is_linear_and_is_designed_as_by_hand():
     plants = [springs(True), springs(False)]
     assert plants[1].linear
@@ -169,6 +173,7 @@ def test_a_plant_with_algebraic_variables_rests_and_is_copied():
     assert float(rest.x[0]) + 0.0517 * np.log1p(current / 1e-9) + 100 * current == pytest.approx(5.0, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_tank_is_simulated_under_nonlinear_mpc_as_with_its_flow_by_hand():
     """A tank that drains by z, z + z³ = 2 x: Cardano's root."""
     stage = {"stage_cost": lambda x, u: (x - 1) ** 2 + 0.01 * (u - 1) ** 2, "duration": 0.4, "u_bounds": (0, 3)}

@@ -179,6 +179,7 @@ def test_within_its_time_a_simulator_does_what_it_does_without_a_limit_and_so_do
         plant.step([3.0, 0.0], *step[1:])
 
 
+@pytest.mark.long
 def test_a_simulator_that_hangs_is_named_with_where_it_stood_and_works_again():
     plant = box(advance=lambda x, u, w, p: hanging(x, u, w, p) if x[0] > 0.9 else 0.5 * x, step_limit=0.3)
     expected = (
@@ -191,6 +192,7 @@ def test_a_simulator_that_hangs_is_named_with_where_it_stood_and_works_again():
     np.testing.assert_array_equal(plant.step([0.8, 0], [0], [0], []), limitless.step([0.8, 0], [0], [0], []))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_what_was_simulated_before_a_simulator_died_is_kept():
     with pytest.raises(SimulatorError, match="ends its process by SIGSEGV at x = ") as caught:
@@ -349,6 +351,7 @@ def test_a_function_of_the_environment_that_stops_is_named_with_its_line(name):
         pendulum(**given)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step_limit", [None, 60.0])
 def test_a_design_that_the_environment_does_not_heed_is_told(step_limit):
     gymnasium = pytest.importorskip("gymnasium")
@@ -430,6 +433,7 @@ BlackBox(hangs, nx=1, nu=1, nw=0, dt=0.1, step_limit=1000.0).step([1.0], [0.0], 
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_process_that_hangs_ends_after_the_one_that_called_it():
     with subprocess.Popen([sys.executable, "-c", CALLER], stdout=subprocess.PIPE, text=True) as caller:
@@ -445,6 +449,7 @@ def test_a_process_that_hangs_ends_after_the_one_that_called_it():
     pytest.fail("the process is still there")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step_limit", [None, 60.0])
 def test_a_simulator_that_stops_keeps_what_was_simulated_before(step_limit):
     with pytest.raises(SimulatorError, match=r"OSError: no licence at x = .* at step \d+, counted from 0\.") as caught:

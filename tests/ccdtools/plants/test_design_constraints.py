@@ -83,6 +83,7 @@ SETS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.quick(3)
 @pytest.mark.parametrize("name", SETS)
 def test_no_point_of_a_dense_cloud_is_feasible_and_nearer_than_the_projection(name, rng):
@@ -211,6 +212,7 @@ REWRITTEN = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.quick(3)
 @pytest.mark.parametrize("name", ["a disc", "around a disc", "a wedge"])
 @pytest.mark.parametrize("rewritten", REWRITTEN)

@@ -58,6 +58,7 @@ def designs():
 # ── exactness ──
 
 
+@pytest.mark.long
 def test_the_hold_is_exact_to_rounding_over_the_design_box(model):
     plant = quarter_car()
     unit = np.array([0.25, 2.5, 0.5, 2.5])  # the size of each state, so that no entry is judged in another's units

@@ -329,6 +329,7 @@ def test_the_rest_of_another_box_is_refused():
         deviations(heated(["mass", "loss"], [1.0, 0.5], [3.0, 1.5]), rest)
 
 
+@pytest.mark.long
 def test_what_a_fitted_plant_adds_at_the_nominal_rest_is_designed_for():
     nominal = heated(["mass"], [1.0], [3.0])
     rest = equilibrium(nominal, [2.0], x=[60.0], u=[np.nan])

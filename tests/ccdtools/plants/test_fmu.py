@@ -159,6 +159,7 @@ def test_an_fmu_that_stopped_begins_anew_and_need_not_answer_at_zero(tmp_path):
     np.testing.assert_array_equal(plant.step(*given), before)
 
 
+@pytest.mark.long
 def test_an_fmu_that_crashes_or_hangs_takes_nothing_with_it(tmp_path, path):
     refused = "if (n != 2 || v[OMEGA] > 1e3) return ERROR;"
     whole, laws = from_fmu(path, dt=0.05, disturbances=["push"], design=BOX), LinearFeedback([[0.0, 0.0]])
@@ -177,6 +178,7 @@ def test_an_fmu_that_crashes_or_hangs_takes_nothing_with_it(tmp_path, path):
         from_fmu(hangs, dt=0.05, design=BOX, step_limit=0.5)
 
 
+@pytest.mark.long
 def test_an_fmu_that_does_not_begin_and_variables_that_are_not_real_are_refused(tmp_path):
     begins = "int fmi2ExitInitializationMode(component c) { (void)c; return "
     with pytest.raises(InputError, match="does not begin"):

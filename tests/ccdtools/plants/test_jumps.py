@@ -56,6 +56,7 @@ def test_a_model_of_a_plant_that_jumps_says_so_and_runs_as_the_plant_does(jump, 
     assert np.abs(runs[0] - runs[1]).max() < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_a_switch_between_forces_that_meet_is_no_jump(name):
     plant = mass(CONTINUOUS[name])

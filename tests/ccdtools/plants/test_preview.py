@@ -98,6 +98,7 @@ def problem_of(steps=25):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_problem_with_preview_asks_for_nothing_new(rng):
     problem = problem_of()
     ahead = previewed_problem(problem, 4)

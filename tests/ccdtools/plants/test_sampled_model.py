@@ -85,6 +85,7 @@ def test_the_error_that_is_promised_is_kept_at_points_that_were_not_looked_at(pl
             assert (np.abs(reached - truth) <= model.error.bound + 1e-11).all()
 
 
+@pytest.mark.long
 def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_steps():
     assert discretise(stiff(), sampling_guard="ignore", **STIFF).method == "collocation"
     smooth = discretise(swing(), **SWING)
@@ -92,6 +93,7 @@ def test_a_stiff_plant_is_collocated_and_a_smooth_one_takes_few_runge_kutta_step
     assert discretise(swing(), accuracy=1e-3, **SWING).substeps < smooth.substeps
 
 
+@pytest.mark.long
 def test_a_motor_whose_current_settles_within_a_fiftieth_of_a_sample_is_accurate_by_default():
     with pytest.warns(SamplingWarning, match=r"takes 176 Runge.* at accuracy=1e-06; 44 reach .*\. Hardest") as seen:
         model = discretise(motor(), **MOTOR)
@@ -142,6 +144,7 @@ def test_casadi_arrays_and_tensors_take_the_same_collocation_step(unit):
     np.testing.assert_allclose(native, arrays, rtol=1e-11)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["rk4", "collocation"])
 def test_a_step_of_tensors_has_first_and_second_derivatives(method):
     model = SampledModel(swing(), 0.1, method, 2)
@@ -176,6 +179,7 @@ def test_a_step_that_cannot_be_solved_ends_the_run_and_not_the_others():
     assert np.isfinite(run.states[0]).all()
 
 
+@pytest.mark.long
 def test_a_stiff_plant_in_deviations_is_collocated_with_its_centre():
     plant = hot_plate()
     hanging = deviations(plant, equilibrium(plant, [1000.0], guess=([300, 300.0], [0.0])))
@@ -241,6 +245,7 @@ def test_a_model_says_what_it_is_and_survives_a_pickle():
     assert again.error.relative == model.error.relative
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -49,6 +49,7 @@ def test_leading_shapes_broadcast_and_single_precision_stays_single(rng):
     assert model.advance(x[:0, 0], u[:0], np.zeros(1), np.array([1.0, 2.0])).shape == (0, 3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [3, 100])
 @pytest.mark.parametrize("continuous", [True, False])
 def test_a_compiled_plant_steps_as_the_same_plant_that_is_not(continuous, n, rng):
@@ -126,6 +127,7 @@ def test_a_step_that_torch_computes_again_has_the_slopes_of_one_that_is_kept(n, 
     torch.testing.assert_close(again, kept, rtol=0, atol=0)
 
 
+@pytest.mark.long
 def test_plants_that_differ_by_constants_are_compiled_once_and_step_by_their_own(rng):
     x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
     space = DesignSpace(["p"], lower=[1.0], upper=[2.0])

@@ -62,6 +62,7 @@ def returned(one, runs=1500):
     return scenario.run(one.controller, design=one.design).returns(stated().objective)
 
 
+@pytest.mark.long
 def test_a_second_generation_on_outputs_earns_what_it_says():
     first, second = run(stated(), 0.5, seed=2)
     assert first.fit is None
@@ -78,6 +79,7 @@ def test_a_second_generation_on_outputs_earns_what_it_says():
     assert "measured +" in str(second)
 
 
+@pytest.mark.long
 def test_the_same_seed_is_the_same_run_and_fits_take_all_logs():
     one, other = (run(stated(), 0.5, generations=count, draws=4) for count in (3, 2))
     for mine, its in zip(one, other):
@@ -86,6 +88,7 @@ def test_the_same_seed_is_the_same_run_and_fits_take_all_logs():
     assert one[2].fit.deviations[2] < 0.9 * one[1].fit.deviations[2]
 
 
+@pytest.mark.long
 def test_a_redesign_for_a_plant_that_the_log_leaves_open_serves_where_the_real_plant_shows_it_better():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3)
     space = DesignSpace(["k", "one", "other"], [0.5, 0.3, 0.3], [4, 2, 2])
@@ -107,6 +110,7 @@ def gauged(gauge=1.0, names=()):
     return Plant(x, u, w, p, [x[1], -p[0] * x[0] - 0.3 * x[1] + u + w], space, dt=0.33, outputs=[shown * x[0]])
 
 
+@pytest.mark.long
 def test_a_redesign_that_leaves_limits_further_on_the_real_plant_is_taken_back_and_says_which():
     """For a weaker actuator more is asked of it, beyond 0.9 N in 3 in place of 2 of 100 samples."""
     tight = {"output_limits": OutputLimits(lambda x, u, p: u, -0.9, 0.9), "limit_tolerance": (0.0, 0.0)}
@@ -139,6 +143,7 @@ def test_the_former_law_behind_the_filter_of_what_logs_tell_serves_where_a_redes
     assert second.update.ci95[0] > 0
 
 
+@pytest.mark.long
 def test_a_plant_that_is_as_modelled_is_not_made_worse():
     first, second = run(stated(), 1.0, draws=4)
     w = Gaussian([0.3]).sample(1500, 50, np.random.default_rng(77))
@@ -164,6 +169,7 @@ def wide():
     return Plant(x, u, w, p, [x[1], -p[0] * x[0] - 0.3 * x[1] + p[1] * u + w], space, dt=0.33)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["nested", Nested("mpc", starts=1, evaluations=6)])
 def test_where_states_are_seen_the_model_of_any_method_is_the_one_that_they_tell(method):
     problem = replace(stated(), measurement=None)
@@ -174,6 +180,7 @@ def test_where_states_are_seen_the_model_of_any_method_is_the_one_that_they_tell
     assert first.log.outputs is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("held_out", [None, {"calm": Gaussian([0.1])}, {"calm": Gaussian([1e200])}])
 def test_a_redesign_that_costs_more_on_a_held_out_drive_is_taken_back(held_out):
     """A weak actuator asks for a stiff spring, which costs the same where nothing pushes; lost runs tell nothing."""
@@ -248,6 +255,7 @@ def on_a_slope():
     return problem, real, slide(("actuator", "slope"))
 
 
+@pytest.mark.long
 def test_a_slope_that_is_unknown_is_designed_for():
     problem, real, wide = on_a_slope()
     first, second = fitted_generations(
@@ -265,6 +273,7 @@ def test_a_slope_that_is_unknown_is_designed_for():
     assert second.predicted.mean == pytest.approx((own - other).mean(), rel=0.2)
 
 
+@pytest.mark.long
 def test_a_slope_enters_the_updated_plant_with_a_disturbance_of_one():
     problem, real, wide = on_a_slope()
     _, second = fitted_generations(
@@ -279,6 +288,7 @@ def test_a_slope_enters_the_updated_plant_with_a_disturbance_of_one():
     assert E[1, 1] == pytest.approx(-9.81 * second.fit.values[1] * 0.05, rel=0.02)
 
 
+@pytest.mark.long
 def test_where_nothing_unknown_is_stated_least_squares_tell():
     problem, real, _ = on_a_slope()
     first, second = fitted_generations(problem, real, method=Nested("lqr"), design=[2.0], rng=np.random.default_rng(1))
@@ -318,6 +328,7 @@ def behind_a_valve(unknown, **changes):
     return generations, before, after
 
 
+@pytest.mark.long
 def test_where_errors_last_the_law_by_the_logs_goes_into_service_at_the_former_design():
     (first, second), before, after = behind_a_valve("stiffness")
     assert second.fit.status.name == "LASTING"

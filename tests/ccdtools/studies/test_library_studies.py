@@ -17,6 +17,7 @@ from ccdtools.studies import load_study, study_names
 PLANTS = [name for name in library.__all__ if inspect.isfunction(getattr(library, name))]
 
 
+@pytest.mark.long
 @pytest.mark.quick(7)
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_of_the_library_has_a_study_of_its_name(name):
@@ -33,6 +34,7 @@ def mass_chain_of_four():
     return library.mass_chain(4)
 
 
+@pytest.mark.long
 def test_the_variants_of_the_library_have_studies():
     lagging = load_study("quarter_car_actuator_lag").plant
     assert (lagging.nx, lagging.linear) == (5, True)
@@ -41,6 +43,7 @@ def test_the_variants_of_the_library_have_studies():
     assert load_study("full_car_heights").plant.nx == 14
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", study_names())
 def test_a_study_loads_without_a_warning_and_under_its_own_name(name):
     with warnings.catch_warnings():
@@ -112,6 +115,7 @@ def test_twenty_states_are_initialised_and_judged_without_the_corners_of_their_l
     assert depth_outside(1.5 * study.X.bounding_box()[1], study.X) == pytest.approx(0.5)
 
 
+@pytest.mark.long
 def test_the_template_prices_its_design_so_that_the_best_one_lies_within_its_bounds(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert CliRunner().invoke(app, ["new", "my_study"]).exit_code == 0

@@ -65,6 +65,7 @@ def test_without_a_real_plant_the_steps_are_those_of_the_model():
     assert not study(same, real=real(same, later=[real(same), real(tank(rate=30.0, cubic=0.3))])).real_is_model
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cubic", [0.0, 0.2])
 def test_a_real_plant_that_its_steps_do_not_follow_is_refused_with_steps_that_do(cubic):
     nominal = tank(rate=30.0)

@@ -98,6 +98,7 @@ def test_laws_of_the_field_gain_what_lqr_of_the_tangent_cannot(study):
         assert mean["clipped LQR"] < 1.03 * mean[tuned]  # it knows nothing of the stops
 
 
+@pytest.mark.long
 def test_a_pid_is_tuned_where_no_input_pushes_a_state_at_rest(study):
     short = replace(study.problem(), steps=40)
     found = baselines(short, study.p0, rng=np.random.default_rng(0))["PID"]

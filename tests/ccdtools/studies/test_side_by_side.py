@@ -36,6 +36,7 @@ def test_tyre_loads_hold_the_body_against_the_manoeuvres_of_its_driver(drivers, 
     np.testing.assert_allclose(springs, lifted, rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("driver", "sizes"), [("mild", [0.25, 1.0]), ("aggressive", [1.5, 2.0])])
 def test_drivers_manoeuvre_as_hard_as_is_said_and_the_aggressive_one_is_faster(drivers, driver, sizes):
     run = simulate(

@@ -48,6 +48,7 @@ def planned(problem=None, seed=0, *, names=(), **options):
     return fit, plan_experiment(problem, fit, law, P, rng=np.random.default_rng(seed), **options)
 
 
+@pytest.mark.long
 def test_the_experiment_that_is_named_tells_what_the_loop_leaves_open():
     problem = problem_of()
     log = run_on(cart(1.4), saturated_lqr(problem, P))

@@ -62,6 +62,7 @@ def test_bands_cover_eighty_per_cent_of_a_log_that_was_never_seen(bands):
     assert ((bands.coverage > low) & (bands.coverage < high)).all()
 
 
+@pytest.mark.long
 def test_a_tube_holds_all_states_at_all_steps_jointly(illustrative, twin):
     fresh = log_of(illustrative, 4, 3000, 2)
     bands = free_running_bands(

@@ -192,6 +192,7 @@ def test_mpc_of_what_a_log_tells_is_that_of_the_real_plant():
     np.testing.assert_allclose(found, known, atol=1e-4)
 
 
+@pytest.mark.long
 def test_a_design_is_found_for_what_a_log_tells():
     problem = problem_of()
     found = identified_change(problem, logged(problem, oscillator(force=0.4), wandering))
@@ -235,6 +236,7 @@ def test_plants_are_drawn_from_a_log_of_two_steps():
     assert len([*identified_change(problem, log).drawn(problem, 5, np.random.default_rng(0))]) == 5
 
 
+@pytest.mark.long
 def test_plants_drawn_from_a_log_are_spread_about_the_truth():
     problem, real = problem_of(), oscillator(1.6, 0.4)
     found = identified_change(problem, logged(problem, real, wandering, noise=0.3))

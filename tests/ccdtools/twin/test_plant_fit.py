@@ -71,6 +71,7 @@ def without_states(log):
 # ── what is found ──
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("noise", "gain", "push"), [(0.01, 0.5, 0.0), (0.01, 1.5, 0.2), (0.1, 0.5, 0.0), (0.1, 1.5, 0.2)]
 )
@@ -139,6 +140,7 @@ def test_it_is_the_likeliest_by_a_filter_and_an_optimiser_of_ones_own():
     np.testing.assert_allclose(np.diag(np.linalg.inv(fit.covariance)), information, rtol=0.25)
 
 
+@pytest.mark.long
 def test_units_change_nothing():
     fits = [fit_plant(one, logged(one, spring(0.5, unit=unit)))
             for unit in (1.0, 1e3) for one in [stated(unit=unit)]]  # fmt: skip
@@ -147,6 +149,7 @@ def test_units_change_nothing():
     np.testing.assert_allclose(fits[1].deviations, factors * fits[0].deviations, rtol=0.01)
 
 
+@pytest.mark.long
 def test_how_wide_the_limits_of_the_state_are_changes_nothing():
     problem = stated(0.01)
     log = logged(problem, spring(0.6))
@@ -155,6 +158,7 @@ def test_how_wide_the_limits_of_the_state_are_changes_nothing():
     assert other.status is one.status
 
 
+@pytest.mark.long
 def test_what_a_sensor_missed_tells_nothing():
     problem = stated()
     log = logged(problem, spring(0.5))
@@ -171,6 +175,7 @@ def test_what_a_sensor_missed_tells_nothing():
     assert half.deviations[2] > 1.2 * some.deviations[2]
 
 
+@pytest.mark.long
 def test_logs_of_several_designs_are_one_plant():
     problem = stated()
     log = logged(problem, spring(0.5))
@@ -185,6 +190,7 @@ def test_logs_of_several_designs_are_one_plant():
     assert abs(both.values[2] + 0.5) < 3.5 * both.deviations[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("measured", [True, False], ids=["outputs", "states"])
 def test_a_fit_says_how_many_runs_it_leaves_out(measured):
     problem = stated()
@@ -200,6 +206,7 @@ def test_a_fit_says_how_many_runs_it_leaves_out(measured):
     assert "left out" not in repr(whole) + whole.advice
 
 
+@pytest.mark.long
 def test_mass_and_gain_of_a_stated_plant_with_an_accelerometer():
     plant = spring(names=("mass", "gain"), accelerometer=True)
     problem = stated(measurement=Measurement(spring(accelerometer=True), noise=[0.05, 0.05]))
@@ -218,6 +225,7 @@ def test_mass_and_gain_of_a_stated_plant_with_an_accelerometer():
     np.testing.assert_allclose(updated.measurement.at(2, 1, P).of(x, u)[0], real.observe(x, u, P)[0], rtol=0.05)
 
 
+@pytest.mark.long
 def test_a_push_becomes_a_part_of_the_disturbance():
     problem = stated()
     fit = fit_plant(problem, logged(problem, spring(push=0.2)))
@@ -232,6 +240,7 @@ def pendulum(gain=1.0):
     return Plant(x, u, w, p, [x[1], -p * ca.sin(x[0]) - 0.2 * x[1] + gain * u + w], BOX, dt=0.2, substeps=2)
 
 
+@pytest.mark.long
 def test_a_nonlinear_plant_by_its_filter():
     problem = CoDesignProblem(
         discretise(pendulum()), X=(-6, 6), U=(-3, 3), steps=STEPS, limit_tolerance="off",
@@ -247,6 +256,7 @@ def test_a_nonlinear_plant_by_its_filter():
     assert fit.intervals()[2, 1] < 0
 
 
+@pytest.mark.long
 def test_noise_that_differs_from_what_is_stated_is_fitted():
     problem = stated()
     log = logged(stated(noise=0.1), spring(0.7))
@@ -292,6 +302,7 @@ def test_without_inputs_nothing_is_told_of_their_gain():
         updated_problem(problem, fit)
 
 
+@pytest.mark.long
 def test_two_gains_in_a_row_cannot_be_told_apart():
     problem = stated()
     fit = fit_plant(problem, logged(problem, spring(0.5)), plant=spring(names=("gain", "second")))
@@ -300,6 +311,7 @@ def test_two_gains_in_a_row_cannot_be_told_apart():
     assert np.prod(fit.values[:2]) == pytest.approx(0.5, abs=0.2)
 
 
+@pytest.mark.long
 def test_a_bound_that_holds_a_parameter_is_said():
     plant = spring(names=("gain",))
     narrow = replace(plant, design=DesignSpace(["k", "gain"], [0.5, 0.8], [4.0, 1.2]))
@@ -309,6 +321,7 @@ def test_a_bound_that_holds_a_parameter_is_said():
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sensors", [True, False])
 def test_a_parameter_that_is_told_is_held_by_no_bound_however_wide_they_are(sensors):
     plant, problem = spring(names=("gain",)), stated(**({} if sensors else {"measurement": None}))
@@ -381,6 +394,7 @@ def cubic(*names, c=0.0):
     return Plant(x, u, w, p, rates, box, dt=DT, substeps=2)
 
 
+@pytest.mark.long
 def test_a_filter_that_diverges_is_a_status_and_what_is_not_known_cannot_be_drawn():
     problem = stated(noise=0.3, X=(-6, 6), scenarios=RandomStarts(Gaussian([1.5, 1.5]), Gaussian([0.5])))
     x0 = problem.scenarios.sample(RUNS, STEPS, np.random.default_rng(3))[0]
@@ -414,6 +428,7 @@ def test_dry_friction_that_an_accelerometer_sees_is_found_within_a_tenth():
     assert found.values[0] == pytest.approx(1.0, abs=0.1)  # 0.79 by an extended filter, which takes it for noise
 
 
+@pytest.mark.long
 def test_a_disturbance_that_is_none_leaves_its_noise_open_and_the_plant_known():
     problem = stated(scenarios=RandomStarts(Gaussian([0.5, 0.5]), Gaussian([0.0])))
     x0 = problem.scenarios.sample(RUNS, STEPS, np.random.default_rng(3))[0]
@@ -437,6 +452,7 @@ def test_a_loop_logs_what_its_sensors_told_and_one_of_the_state_nothing():
     assert deploy(spring(), saturated_lqr(problem, P), P, w, x0=START).outputs is None
 
 
+@pytest.mark.long
 def test_a_clock_that_jumps_or_has_another_rate_is_named():
     problem = stated()
     log, plant = logged(problem, spring(0.5)), spring(names=("gain",))
@@ -486,6 +502,7 @@ def test_of_states_a_gain_is_the_least_squares_solution_in_any_unit():
     assert found[0].values[0] == pytest.approx(found[1].values[0], rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("carried", [0.5, 0.8])
 def test_of_states_a_disturbance_that_lasts_is_no_dynamics(carried):
     held = 0
@@ -500,6 +517,7 @@ def test_of_states_a_disturbance_that_lasts_is_no_dynamics(carried):
     assert held >= 16  # without a correlation none
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("carried", "status"), [(0.0, "SOLVED"), (0.9, "LASTING")])
 def test_of_outputs_a_disturbance_that_lasts_is_told_by_innovations_further_apart(carried, status):
     problem, unit = stated(), (1 - carried**2) ** 0.5
@@ -538,6 +556,7 @@ def test_of_states_a_short_log_has_wide_intervals(steps):
     assert held >= 50
 
 
+@pytest.mark.long
 def test_of_states_intervals_hold_the_truth_as_often_as_they_say():
     held = sum(
         bool(low <= 0.5 <= high)
@@ -547,6 +566,7 @@ def test_of_states_intervals_hold_the_truth_as_often_as_they_say():
     assert 34 <= held <= 40
 
 
+@pytest.mark.long
 def test_of_states_a_nonlinear_entry_is_found_and_designs_of_all_kinds_use_it():
     problem, log = seen(cubic(c=2.0))
     found = fit_plant(problem, log, plant=cubic("c"))
@@ -610,6 +630,7 @@ def test_of_states_wrong_logs_are_named():
             fit_plant(problem, given, plant=spring(names=("gain",)))
 
 
+@pytest.mark.long
 def test_a_sensor_that_stuck_is_named_in_logs_of_outputs_and_of_states(log):
     outputs, states = np.array(log.outputs), np.array(log.states)
     outputs[2, 10:25] = outputs[2, 10]

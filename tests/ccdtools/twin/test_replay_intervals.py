@@ -31,6 +31,7 @@ def problem():
     return load_study("illustrative").problem()
 
 
+@pytest.mark.long
 def test_the_interval_covers_what_other_logs_say(problem):
     truth = returned(problem, logged(problem, 10_000, runs=6000), STRONG, window=STEPS).summary.mean
     found = [returned(problem, logged(problem, seed), STRONG, window=STEPS) for seed in range(LOGS)]

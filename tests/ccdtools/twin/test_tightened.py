@@ -191,6 +191,7 @@ def of_cart(kind, errors, unit=1.0, level=0.9):
     return robust_mpc(own, [1.0], log, rng=rng, level=level, errors=errors, runs=2, horizon=8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "unit"), [("skewed", 1.0), ("lasting", 1e-4)])
 def test_a_limit_that_is_driven_along_is_kept_as_asked_at_less_distance_than_by_a_tube(kind, unit):
     found = of_cart(kind, "quantiles", unit, level=0.98)
@@ -299,6 +300,7 @@ def test_a_small_sample_of_the_benchmark_finds_no_violation(capsys):
     assert cells[7] == "0"
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*states lie outside X")
 def test_a_start_without_a_plan_is_told_and_has_one_over_a_longer_horizon():
     # 1 m at 0.1 m/s and 0.1 s a sample takes a hundred samples

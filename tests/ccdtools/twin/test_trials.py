@@ -178,6 +178,7 @@ def test_a_law_that_loses_the_run_is_rejected_at_once(problem):
     assert found.trial.pairs <= 1
 
 
+@pytest.mark.long
 def test_a_model_that_is_right_takes_noise_out_of_the_trial(problem):
     near = {"candidate": LinearFeedback(0.9 * BETTER.K), "served": BETTER}
     spread = [tried(problem, **near, model=model).trial.gains.std() for model in (plant(1.0), plant(1.1))]
@@ -203,6 +204,7 @@ def test_a_plant_identified_from_a_log_predicts_the_real_one_whatever_disturbs_i
     assert np.abs(run - runs[1]).max() < 0.01 * np.abs(runs[2] - runs[1]).max()
 
 
+@pytest.mark.long
 def test_a_trial_that_predicts_with_a_log_or_its_own_is_decided_where_the_nominal_model_leaves_it_open(problem):
     near = LinearFeedback(0.9 * BETTER.K)
     w = Gaussian([0.1, 0.1]).sample(1, 3000, np.random.default_rng(13))[0]
@@ -219,6 +221,7 @@ def test_a_trial_that_predicts_with_a_log_or_its_own_is_decided_where_the_nomina
     assert own.model is not None
 
 
+@pytest.mark.long
 def test_a_trial_goes_on_with_the_model_that_it_began_with(problem):
     fine = {"candidate": LinearFeedback(0.99 * BETTER.K), "served": BETTER, "margin": 1e-6, "steps": 2000}
     first = tried(problem, **fine)
@@ -249,6 +252,7 @@ def test_the_margin_is_a_part_of_what_the_real_plant_returns(problem, size):
     assert 0.005 * block * 0.4 < found.margin < 0.005 * block * 1.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [-1.0, 40.0])
 def test_a_model_that_foretells_nothing_does_not_harm_a_trial(problem, share):
     right, wrong = (tried(problem, BETTER, model=plant(one)).trial for one in (1.1, share))
@@ -291,6 +295,7 @@ def test_logs_that_tell_no_plant_are_named(problem):
         identified_plant(problem, replace(log, diverged_at=np.array([3])))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("gust", "gain"), [(1.8, 0.6), (2.0, 0.35)])
 def test_what_a_candidate_loses_in_one_gust_is_not_explained_away(gust, gain):
     """Its input works the other way far from rest: it is a fifth better in calm, and that much worse in a gust."""
@@ -348,6 +353,7 @@ def correlated(share, n, rng):
     return noise[100:]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.6])
 def test_a_change_is_seen_and_none_is_invented(share):
     rng = np.random.default_rng(6)

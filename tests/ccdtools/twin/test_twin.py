@@ -77,6 +77,7 @@ def test_the_one_step_error_falls_on_a_held_out_stretch(twin):
     np.testing.assert_allclose(scores.rmse, floor, rtol=0.08)
 
 
+@pytest.mark.long
 def test_the_pinball_loss_is_below_that_of_constant_quantiles(twin):
     assert (np.array(twin.scores.pinball) < 0.97 * np.array(twin.scores.constant_pinball)).all()
 
@@ -170,6 +171,7 @@ def test_more_blocks_than_samples_are_as_many_as_there_are(illustrative):
 # ── the learned model ──
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize("method", [Nested("lqr", evaluations=5), Search("cma", evaluations=8)])
 def test_methods_of_the_model_redesign_on_an_updated_problem_whose_limits_act(illustrative, twin, method):

@@ -107,6 +107,7 @@ def test_a_wrong_log_is_named(function, kind):
         FUNCTIONS[function](given)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_a_stuck_sensor_is_told(function):
     stuck = np.array(LOG.states)

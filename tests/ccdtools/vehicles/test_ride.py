@@ -62,6 +62,7 @@ def test_forces_that_are_states_do_the_work_instead_of_the_inputs():
     assert quarter()(run(states, np.zeros((1, 100, 1))))["actuator power [W]"] == 0
 
 
+@pytest.mark.long
 def test_a_comparison_shows_metrics_of_the_runs_that_did_not_diverge():
     """A plant that doubles each step: from 0 it stays, from 1 it leaves any limit."""
     x, u = ca.SX.sym("x"), ca.SX.sym("u")

@@ -109,6 +109,7 @@ def lives(process):
     return True
 
 
+@pytest.mark.long
 def test_another_process_ends_with_this_one():
     with subprocess.Popen([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True) as program:
         other = int(program.stdout.readline())

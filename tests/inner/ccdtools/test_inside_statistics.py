@@ -215,6 +215,7 @@ def apart(rng, rows, columns):
     return rng.standard_normal((rows, 1)) + rng.standard_normal((1, columns)) + rng.standard_normal((rows, columns))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("drawn", "truth", "least", "most"),
     [(apart, 0.0, 0.935, 0.965), (product, np.exp(0.25), 0.92, 0.965), (together, 0.0, 0.95, 0.99)],

@@ -23,6 +23,7 @@ def relative_kkt(problem, theta, z, y):
     return max(stationarity.max(), primal.max(), dual.max(), slackness.max())
 
 
+@pytest.mark.long
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("kind", ["plain"] * 4 + ["scaled", "degenerate"])
 def test_five_hundred_random_problems_meet_the_optimality_conditions(kind, request):

@@ -252,6 +252,7 @@ def test_a_slab_that_opens_far_away_leaves_no_hole_unsaid(gap, reach):
     assert partition.status is (MPQPStatus.COMPLETE if inside.all() else MPQPStatus.INACCURATE)
 
 
+@pytest.mark.long
 @pytest.mark.quick(10)
 @pytest.mark.parametrize("seed", [17, 30, 89, 96, 115, 162, 174, 194, 0, 1, 2, 3])
 def test_slabs_that_close_with_the_parameter_leave_no_hole_unsaid(seed):
@@ -280,6 +281,7 @@ def online_feasible(problem, theta):
     return np.array([program.status == 0 for program in room])
 
 
+@pytest.mark.long
 @pytest.mark.quick(10)
 @pytest.mark.parametrize(
     ("seed", "opposite"),

@@ -3,6 +3,7 @@
 import os
 import time
 
+import pytest
 from partitions import integrator
 from slow_exploration import solve_slowly
 
@@ -10,6 +11,7 @@ from mpc import MPQPStatus, solve_mpqp
 from mpc.explicit.kernels import SOURCES, forget_stale
 
 
+@pytest.mark.long
 def test_no_time_limit_pays_for_compilation(monkeypatch):
     compiling = []
 

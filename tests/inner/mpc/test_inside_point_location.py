@@ -23,6 +23,7 @@ def samples(partition, spread, count=4000):
     return partition.centre + spread * partition.half * t
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spread", [1.0, 1.3, 50.0, 1e200])
 def test_tree_scan_and_stopped_tree_give_the_same_input(partition, spread):
     tree = ExplicitMPC.from_partition(partition)
@@ -57,6 +58,7 @@ def test_limits_of_the_whole_way_are_passed_on():
     assert mpc.explicit(tree_time_limit=1e-9).tree.status is TreeStatus.TIME_LIMIT
 
 
+@pytest.mark.long
 def test_compiling_does_not_count_as_time_of_the_tree(partition, monkeypatch):
     grown, calls = growth.grow, []
 

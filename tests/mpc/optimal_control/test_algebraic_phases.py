@@ -47,12 +47,14 @@ def by_angle():
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_swing_up_costs_what_it_costs_by_the_angle():
     flat, angle = (refine(phase, Radau(5), intervals=40) for phase in (swing(), by_angle()))
     assert flat.status.name == angle.status.name == "SOLVED"
     assert flat.cost == pytest.approx(angle.cost, rel=1e-7)
 
 
+@pytest.mark.long
 def test_the_algebraic_variable_is_told_along_the_trajectory():
     found = refine(swing(), Radau(5), intervals=40)
     t = np.linspace(0, 2, 37)
@@ -69,6 +71,7 @@ def test_shooting_and_collocation_agree():
     assert by[1].cost == pytest.approx(by[0].cost, rel=0.02)  # inputs held over an interval, beside polynomials
 
 
+@pytest.mark.long
 def test_a_limit_on_the_algebraic_variable_is_kept():
     free = refine(swing(), Radau(5), intervals=40)
     t = np.linspace(0, 2, 400)
@@ -98,6 +101,7 @@ def vars_of(phase, **changes):
     return {name: getattr(phase, name) for name in names} | changes
 
 
+@pytest.mark.long
 def test_nonlinear_mpc_holds_a_pendulum_upright_by_its_rod():
     phase = swing(
         stage_cost=lambda x, u: 20 * (x[0] ** 2 + (x[1] - 1) ** 2) + x[2] ** 2 + x[3] ** 2 + 0.1 * u[0] ** 2,

@@ -65,6 +65,7 @@ def test_intervals_that_are_no_whole_numbers_are_refused_by_name(intervals):
     assert caught.value.argument == "intervals"
 
 
+@pytest.mark.long
 def test_an_integrator_that_stops_at_the_guess_is_told_in_words():
     away = Phase(lambda x, u: ca.vertcat(x[1], 500 * x[0] ** 3 + u), 2, 1, start=[0, 0], end=[1, 0], duration=3.0)
     with pytest.raises(InputError, match=r"guess: got one that stops with CVode returned .* Give a `guess`") as caught:

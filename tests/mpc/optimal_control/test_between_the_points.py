@@ -46,6 +46,7 @@ def least_energy(fast):
     return np.linalg.inv(grown.y[:, -1].reshape(2, 2))[0, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e3, 3.0)])
 def test_a_trajectory_through_an_obstacle_is_not_solved_and_refinement_goes_round_it(unit, origin):
     through = solve(build(past_a_disc(unit, origin), intervals=10))
@@ -75,6 +76,7 @@ def test_a_bound_of_a_state_that_is_passed_between_the_points_is_told():
     assert refine(slow).solved
 
 
+@pytest.mark.long
 def test_inputs_that_jump_under_a_limit_of_their_own_are_refined():
     # the least time with a round limit of the thrust, whose direction turns fast
     found = refine(Phase(
@@ -113,6 +115,7 @@ def test_a_cost_off_by_its_quadrature_alone_is_said():
     assert solve(build(swept, intervals=60)).solved
 
 
+@pytest.mark.long
 def test_a_sample_of_the_fields_and_meshes_of_the_benchmark_is_judged_truly():
     given = field(0)
     assert judged_field(given, refine(given.phase())) == ("SOLVED", "")
@@ -178,6 +181,7 @@ def test_a_limit_that_is_no_number_between_the_points_is_passed_there():
     assert found.path_excess[0].time[0] == pytest.approx(0.522, abs=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_the_depth_in_a_small_disc_counts_in_its_own_radius(unit):
     radius, centre = 0.004, np.array([1, 0.001])

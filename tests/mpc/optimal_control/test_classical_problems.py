@@ -8,6 +8,7 @@ from scipy.integrate import quad
 from mpc.optimal_control import HermiteSimpson, Radau, build, refine, solve
 
 
+@pytest.mark.long
 @pytest.mark.quick(10)
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_published_optimum_is_reached(name):

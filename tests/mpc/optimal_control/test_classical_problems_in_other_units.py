@@ -13,6 +13,7 @@ V = ca.vertcat
 UNITS = pytest.mark.parametrize(("length", "time"), [(1.0, 1.0), (1e3, 1 / 60), (1e-3, 1e3)])
 
 
+@pytest.mark.long
 @UNITS
 def test_a_moon_lander_falls_and_then_brakes(length, time):
     # Meditch 1964: least fuel from height 10 at speed −2 under gravity 1.5, thrust up to 3; one switch, by hand
@@ -29,6 +30,7 @@ def test_a_moon_lander_falls_and_then_brakes(length, time):
     assert found.duration == pytest.approx((fall + brake) * time, rel=1e-5)
 
 
+@pytest.mark.long
 @UNITS
 def test_a_hanging_chain_is_a_catenary(length, time):
     # COPS 3.0, problem 2: of length 4, hung at heights 1 and 3 over a width of 1, with its centre of mass at the lowest
@@ -49,6 +51,7 @@ def test_a_hanging_chain_is_a_catenary(length, time):
     assert found.cost == pytest.approx(energy, rel=1e-6)
 
 
+@pytest.mark.long
 @UNITS
 def test_a_way_point_of_free_time_is_passed_on_the_way_to_shortest_time(length, time):
     # two phases of free duration, force at most 1: a way of 3 takes 2√3, and 1 of them √2, wherever it is cut
@@ -120,6 +123,7 @@ def test_an_input_that_is_no_angle_keeps_its_jump():
     assert found.u(1.5) == pytest.approx([-9.0], rel=0.05)
 
 
+@pytest.mark.long
 def test_what_swings_along_a_singular_arc_is_said():
     bioreactor = CLASSICAL["Lee-Ramirez bioreactor"].phase
     found = refine(bioreactor, intervals=20, rounds=2)

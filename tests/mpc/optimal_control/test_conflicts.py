@@ -29,6 +29,7 @@ def block(**change):
     return Phase(**(given | change))
 
 
+@pytest.mark.long
 def test_conflicts_have_the_names_of_the_limits():
     walls = block(path=lambda x: ca.vertcat(x[0] - 3, 0.5 - x[0]), path_names=["right wall", "left wall"])
     found = solve(walls)
@@ -44,6 +45,7 @@ def test_conflicts_have_the_names_of_the_limits():
     assert solve(shared).conflicts == ("stiff, by 1", "damping ≤ 1")
 
 
+@pytest.mark.long
 def test_every_limit_that_stands_in_the_way_is_named_though_limits_are_stated_together():
     # 0.5 m after 0.9 s, at no more than 0.4 m/s
     late = block(end=None, path_names=["there", "speed", "far"], path=lambda x, t: ca.vertcat(

@@ -141,6 +141,7 @@ def test_scenarios_of_other_constants_are_each_what_they_are_alone(scheme):
     assert len(together.derivatives.pieces) < 3 * len(phases)
 
 
+@pytest.mark.long
 def test_graphs_do_not_grow_with_scenarios_of_other_constants():
     def size(scenarios, weights=None):
         phases = [scenario(1.5 + k, 0.1 + 0.01 * k, 2.5 + k) for k in range(scenarios)]

@@ -44,6 +44,7 @@ def law(sx=1.0, su=1.0, cost=1.0, **changes):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("x", [HANGING, [2.8, 0.5, 0.0, 0.0]])
 def test_the_plan_is_the_best_of_several_starts(x):
     x = np.asarray(x)
@@ -62,6 +63,7 @@ def test_the_plan_is_the_best_of_several_starts(x):
     assert plan.cost < 0.9 * law(starts=1).solve(x).cost  # the linear law leads to a dearer optimum
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("sx", "su", "cost"), [(57.3, 1e3, 1e-4), (1e-3, 1e-2, 1e6)])
 def test_units_do_not_matter(sx, su, cost):
     plan, other = law().solve(HANGING), law(sx, su, cost).solve(sx * HANGING)
@@ -69,6 +71,7 @@ def test_units_do_not_matter(sx, su, cost):
     assert other.cost / cost == pytest.approx(plan.cost, rel=1e-6)
 
 
+@pytest.mark.long
 def test_it_swings_up_and_every_plan_on_the_way_is_solved():
     controller, x = law(), HANGING
     solvers = []
@@ -81,6 +84,7 @@ def test_it_swings_up_and_every_plan_on_the_way_is_solved():
     assert set(solvers[1:]) == {"SQP"}  # quadratic programs alone, without the interior-point solver
 
 
+@pytest.mark.long
 def test_a_solver_that_is_stopped_goes_on_in_the_next_sample():
     controller, x = law(most_iterations=5, starts=1), HANGING
     statuses = []
@@ -93,6 +97,7 @@ def test_a_solver_that_is_stopped_goes_on_in_the_next_sample():
     assert np.abs(x).max() < 0.01
 
 
+@pytest.mark.long
 def test_after_a_kick_it_is_the_optimum_again():
     controller = law()
     controller(0.1 * HANGING)
@@ -114,6 +119,7 @@ def damped(x, u):
     return x + 0.01 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.01 * k3))
 
 
+@pytest.mark.long
 def test_inputs_that_go_from_bound_to_bound_are_followed_by_quadratic_programs():
     controller = NonlinearMPC(
         damped, 4, 1, Q=np.diag([1.0, 1e-4, 0.3, 1e-5]), R=[[1e-6]], horizon=40, U=([-1.0], [1.0])
@@ -133,6 +139,7 @@ def test_inputs_that_go_from_bound_to_bound_are_followed_by_quadratic_programs()
     assert solvers[1:].count("SQP") >= 7
 
 
+@pytest.mark.long
 def test_the_same_starts_every_time():
     plans = [law(starts=5).solve(HANGING) for _ in range(2)]
     assert (plans[0].inputs == plans[1].inputs).all()
@@ -169,6 +176,7 @@ def test_threads_may_share_a_controller():
     assert all((one.inputs == other.inputs).all() for one, other in zip(alone, together))
 
 
+@pytest.mark.long
 def test_limits_of_states_that_cannot_be_kept_far_from_rest_are_softened():
     wide = np.array([10.0, 10.0, 5.0, 5.0])
     plan = law(X=(-wide, wide)).solve([np.pi, 0.0, 30.0, 0.0])
@@ -195,6 +203,7 @@ def test_starts_are_a_count(starts):
     assert caught.value.argument == "starts"
 
 
+@pytest.mark.long
 def test_costates_are_the_slopes_of_the_cost_by_the_states():
     controller = NonlinearMPC(lambda x, u, w: unicycle(x, u) + w, 3, 2, Q=[1, 1, 0.1], R=[0.05, 0.05], P=[10, 10, 1],
                               horizon=15, U=([-1, -2], [1, 2]), disturbances=3)  # fmt: skip
@@ -208,6 +217,7 @@ def test_costates_are_the_slopes_of_the_cost_by_the_states():
             assert costates[k, i] == pytest.approx((up - down) / (2 * step), rel=1e-4, abs=1e-6)
 
 
+@pytest.mark.long
 def test_a_horizon_too_long_for_a_condensed_program_is_built():
     stated = {"Q": [1, 1, 0.1], "R": [0.05, 0.05], "P": [10, 10, 1], "horizon": 5000, "U": ([-1, -2], [1, 2])}
     controller = NonlinearMPC(unicycle, 3, 2, **stated)
@@ -220,6 +230,7 @@ def test_an_input_that_costs_nothing_is_refused():
         NonlinearMPC(lambda x, u: 0.5 * x + 0 * u, 1, 1, Q=[1], R=[0], P=[1], horizon=3, U=(-1, 1))
 
 
+@pytest.mark.long
 def test_a_real_time_iteration_beyond_hard_limits_goes_to_the_optimum():
     """A plan that is shifted to a state after a kick may leave limits that the optimum keeps."""
     limits = {"X": ([-9, -9, -7, -7], [9, 9, 7, 7])}

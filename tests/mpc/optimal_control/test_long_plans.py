@@ -21,6 +21,7 @@ def law_of(horizon, **stated):
     return NonlinearMPC(pendulum, 2, 1, Q=np.diag([1, 0.1]), R=[[0.01]], horizon=horizon, starts=1, **limits, **stated)
 
 
+@pytest.mark.long
 def test_memory_of_a_followed_plan_grows_with_its_length_not_with_its_square():
     peaks = []
     for horizon in (75, 300):
@@ -35,6 +36,7 @@ def test_memory_of_a_followed_plan_grows_with_its_length_not_with_its_square():
     assert peaks[1] < 6 * peaks[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("soft", [None, (2.0, 5.0)])
 def test_long_plan_with_acting_limits_costs_what_ipopt_finds(soft):
     horizon, start = 150, np.array([0.6, 0.0])

@@ -31,6 +31,7 @@ def followed(estimator, outputs):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "window"), [(0, 2), (1, 5), (2, 12), (3, 5), (4, 1)])
 def test_on_linear_plants_it_is_the_kalman_filter(seed, window):
     assert kalman_difference(seed, window, samples=25) < 1e-8
@@ -51,6 +52,7 @@ def test_a_drifting_parameter_is_a_state_that_nothing_moves_but_noise():
         np.testing.assert_allclose([belief.mean[0, 0], belief.parameters[0, 0]], known.mean[0], atol=1e-9)
 
 
+@pytest.mark.long
 def test_threads_may_share_an_estimator():
     estimator = MovingHorizonEstimator(lambda x, w: ca.sin(x) + w, lambda x: x, 1, 0, **WALK)
     logs = list(np.random.default_rng(0).normal(size=(6, 20)))
@@ -96,6 +98,7 @@ def test_limits_give_the_optimum_of_the_quadratic_program():
     np.testing.assert_allclose(last.windows[0].course.ravel(), np.array(found.x)[:n], atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_loop_on_measured_angles_swings_to_rest_with_its_unknown_friction_found():
     step = sampled(lambda x, u, p: ca.vertcat(x[1], ca.sin(x[0]) - p * x[1] + u), 0.1)
     law = NonlinearMPC(lambda x, u: step(x, u, 0.1), 2, 1, Q=np.eye(2), R=[[0.1]], horizon=20, U=([-2], [2]))

@@ -81,6 +81,7 @@ def test_on_a_linear_model_it_is_linear_mpc(limits, signals):
     assert nonlinear.cost == pytest.approx(linear.cost, rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("angle", [0.4, 1.2])
 def test_plan_is_the_optimum_of_the_nonlinear_program(angle):
     controller = pole()
@@ -100,6 +101,7 @@ def test_plan_is_the_optimum_of_the_nonlinear_program(angle):
     assert plan.inputs[0] == pytest.approx(reference.u(0.0), abs=1e-4)
 
 
+@pytest.mark.long
 def test_real_time_iteration_follows_the_optimum():
     x = np.array([0.0, 0.3, 0.0, 0.0])
     converged, _ = closed_loop(pole(), x, 60)
@@ -121,6 +123,7 @@ def test_from_outside_the_limits_they_are_relaxed_and_inputs_kept():
     assert plan.violation > 0.1
 
 
+@pytest.mark.long
 def test_every_finite_state_has_an_admissible_input():
     controller = pole(most_iterations=5)
     rng = np.random.default_rng(3)
@@ -131,6 +134,7 @@ def test_every_finite_state_has_an_admissible_input():
         assert np.abs(u).max() <= 10 + 1e-9
 
 
+@pytest.mark.long
 def test_rows_have_plans_of_their_own():
     x = np.array([[0.0, 0.3, 0.0, 0.0], [0.5, -0.4, 0.1, 0.0]])
     together, alone = pole(), [pole(), pole()]
@@ -140,6 +144,7 @@ def test_rows_have_plans_of_their_own():
         x = x * 0.97
 
 
+@pytest.mark.long
 def test_parameters_change_without_building_anew():
     controller = pole()
     other = controller.with_parameters([0.8])
@@ -238,6 +243,7 @@ def test_two_inputs_in_a_polytope_are_those_of_linear_mpc(units):
         assert (plan.inputs @ U.A.T <= U.b + 1e-9).all()
 
 
+@pytest.mark.long
 def test_out_of_time_the_best_there_is_stands_in_and_says_so():
     x = [0.1, 1.2, 0.0, 0.0]
     late = pole(time_limit=1e-9)
@@ -253,6 +259,7 @@ def test_out_of_time_the_best_there_is_stands_in_and_says_so():
     assert pole(time_limit=60.0).solve(x).status is Status.SOLVED
 
 
+@pytest.mark.long
 def test_out_of_time_in_every_sample_it_still_gets_there():
     cost, end = closed_loop(pole(time_limit=1e-9), np.array([0.0, 0.3, 0.0, 0.0]), 60)
     converged, _ = closed_loop(pole(), np.array([0.0, 0.3, 0.0, 0.0]), 60)

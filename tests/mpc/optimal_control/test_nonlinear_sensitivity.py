@@ -38,6 +38,7 @@ def compared(found, plain, step, x, p, sizes, weights, part=1e-3):
     assert distance(found.inputs_by_state.reshape(-1, nx), by_state[1:]) < REQUIRED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("x", "changes", "kinds"),
     [
@@ -124,6 +125,7 @@ def test_on_a_linear_model_they_are_those_of_linear_mpc(limits, signals):
         assert getattr(found, name) == pytest.approx(getattr(linear, name), rel=1e-7, abs=1e-8)
 
 
+@pytest.mark.long
 def test_the_real_time_iteration_has_the_derivatives_of_the_optimum():
     x = [0.1, 0.4, 0, 0]
     rate, converged = pole(iterations=1).sensitivity(x), pole().sensitivity(x)
@@ -131,6 +133,7 @@ def test_the_real_time_iteration_has_the_derivatives_of_the_optimum():
     assert rate.cost_by_parameters == pytest.approx(converged.cost_by_parameters, rel=1e-9)
 
 
+@pytest.mark.long
 def test_other_parameters_need_no_new_model():
     controller = pole()
     x = [0.1, 0.4, 0, 0]
@@ -138,6 +141,7 @@ def test_other_parameters_need_no_new_model():
     assert moved.cost_by_parameters == pytest.approx(pole(p=[0.6]).sensitivity(x).cost_by_parameters, rel=1e-9)
 
 
+@pytest.mark.long
 def test_weakly_active_constraints_are_flagged():
     def asked(t):
         return np.abs(free.solve([0.0, t, 0, 0]).inputs[0, 0]) - 5.0
@@ -153,6 +157,7 @@ def test_weakly_active_constraints_are_flagged():
     assert one.cost == pytest.approx(-other.cost)
 
 
+@pytest.mark.long
 def test_plans_without_a_solution_have_no_derivatives_and_say_so():
     controller = pole(X=([-0.1, -0.1, -0.1, -0.1], [0.1, 0.1, 0.1, 0.1]))
     found = controller.sensitivity([0.0, 0.5, 0.0, 0.0])

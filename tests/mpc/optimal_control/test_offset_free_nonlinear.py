@@ -43,6 +43,7 @@ def run(controller, plant, sx, su, steps=120, **names):
     return np.array(states)
 
 
+@pytest.mark.long
 @pytest.mark.quick(5)
 @pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
 @pytest.mark.parametrize("iterations", [None, 1])
@@ -89,6 +90,7 @@ def test_a_reference_that_no_input_holds_gets_the_nearest_one():
     assert target.input[0] == pytest.approx(1.0)
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("reference", "limits", "sx", "su"),

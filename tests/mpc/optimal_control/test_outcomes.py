@@ -40,6 +40,7 @@ def test_what_contradicts_is_named_in_any_unit(k):
     assert solve(block(k, u_bounds=(-4.5 * k, 4.5 * k))).solved  # and no more than that
 
 
+@pytest.mark.long
 def test_conflicts_of_every_kind_are_named():
     mixed = solve(block(path=lambda x: 2 - x[0], x_bounds=([-9, -9], [1.5, 9]), start=None, end=None))
     assert mixed.conflicts[-1] == "x1 ≤ 1.5"
@@ -55,6 +56,7 @@ def test_conflicts_of_every_kind_are_named():
     assert all(one.status is OptimalControlStatus.INFEASIBLE for one in (mixed, ends, shared, joined))
 
 
+@pytest.mark.long
 def test_a_limit_of_many_scenarios_is_named_once():
     weak = block(u_bounds=(-1, 1), path=lambda x: x[1] - 1.4, path_names=["speed limit"])
     many = solve(OptimalControlProblem([replace(weak, end=[1 + 0.1 * k, 0]) for k in range(12)], linked=False))
@@ -203,6 +205,7 @@ def test_a_small_limit_is_kept_as_well_as_a_large_one():
     assert found.phases[0].stages.states[..., 1].max() <= 1.2 + 1e-6
 
 
+@pytest.mark.long
 def test_the_largest_cost_of_scenarios_starts_warm_on_another_mesh():
     problem = OptimalControlProblem([block(1e3), block(2e3)], linked=False, risk="worst")
     coarse = solve(problem)
@@ -214,6 +217,7 @@ def test_the_largest_cost_of_scenarios_starts_warm_on_another_mesh():
         coarse.x(0.5)
 
 
+@pytest.mark.long
 def test_what_cvodes_misses_is_its_own_tolerance():
     phase = block(dynamics=lambda x, u: ca.vertcat(x[1], u - ca.sin(5 * x[0])))
     found = solve(build(phase, MultipleShooting(integrator="cvodes", tolerance=1e-8), 4))

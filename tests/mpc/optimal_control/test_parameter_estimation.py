@@ -57,6 +57,7 @@ class Swings:
         return np.concatenate(rows)
 
 
+@pytest.mark.long
 def test_two_experiments_with_gaps_and_correlated_noise_are_fitted_as_by_shooting():
     swings = Swings()
     found = estimate_parameters(
@@ -249,6 +250,7 @@ def test_wrong_statements_are_named(wrong, name):
         estimate_parameters(Experiment([0, 1, 2], [1, 0.5, 0.2]), **(DECAY | wrong))
 
 
+@pytest.mark.long
 def test_memory_grows_in_proportion_to_the_samples_of_a_disturbed_course():
     most = []
     for samples in (100, 400):

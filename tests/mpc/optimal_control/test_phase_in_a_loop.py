@@ -55,6 +55,7 @@ def test_a_random_statement_has_the_best_optimum_of_plain_ipopt_from_eleven_plac
     assert plan.cost / one.unit == pytest.approx(found, rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [25, 40])
 def test_what_no_start_can_meet_is_softened(seed):
     one = random_statement(seed)
@@ -336,6 +337,7 @@ def vehicle(scale, prices):
     ), rate_limit=[0.8, 1.0])  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scale", [1.0, 1e3])
 @pytest.mark.parametrize("prices", [([None, 3.0], [None, 0.0]), ([None, 0.2], [None, 4.0])], ids=["linear", "both"])
 def test_plans_followed_by_programs_are_the_optima_of_the_solver(scale, prices):

@@ -28,6 +28,7 @@ def test_refinement_ends_where_finer_meshes_no_longer_help():
     assert worst <= reached < 10 * worst
 
 
+@pytest.mark.long
 def test_refinement_goes_on_while_it_helps():
     # the error of the first interval falls with its root, and other intervals have none
     found = refine(rough(0.5), tolerance=3e-4, rounds=20)
@@ -97,6 +98,7 @@ def test_refinement_begins_at_a_mesh_of_one_or_two_intervals(intervals):
     assert len(found.phases[0].times) > intervals + 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["Bryson-Denham", "brachistochrone", "hypersensitive", "shortest time", "orbit raising"]
 )

@@ -31,6 +31,7 @@ def past_disc():
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("unit", "second"), [(1, 1), (1e-4, 1), (1e3, 60)])
 @pytest.mark.parametrize("how", [refine, solve])
 def test_the_deeper_well_is_found_from_the_other_in_any_units(unit, second, how):
@@ -63,6 +64,7 @@ def test_of_guesses_given_the_shorter_side_is_taken():
     np.testing.assert_allclose([one.cost for one in both.ends], [shorter.cost, longer.cost], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_an_optimum_on_the_longer_side_is_refined_only_if_it_may_be_better():
     ways = [([0, 0.5, 1], [[-2, 0], [0, side], [2, 0]], np.zeros((3, 2))) for side in (-2, 2)]
     both = refine(past_disc(), starts=ways)
@@ -85,6 +87,7 @@ def test_time_that_is_up_leaves_starts_out():
     assert sum(one.count for one in found.ends) < 100_000
 
 
+@pytest.mark.long
 def test_discrete_linked_free_and_shared_statements_have_starts_too():
     step = Phase(dynamics=lambda x, u: x + 0.1 * u, states=1, inputs=1, stage_cost=lambda x, u: x**2 + u**2, start=[1],
                  duration=20, discrete=True)  # fmt: skip

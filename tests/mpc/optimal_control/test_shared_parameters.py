@@ -26,6 +26,7 @@ def array_problem(inertia, duration, torque):
     return OptimalControlProblem(phase, p_bounds=([0.0], [20 * inertia / duration**2]))
 
 
+@pytest.mark.long
 @pytest.mark.quick(1)
 @pytest.mark.parametrize(("inertia", "duration", "torque"), [(1.0, 1.0, 1.0), (3.0, 0.5, 2.0), (0.02, 7.0, 1e-3)])
 def test_solar_array_has_its_published_stiffness_simultaneous_and_nested(inertia, duration, torque):
@@ -102,6 +103,7 @@ def test_worst_scenario_is_made_least():
     assert worst.cost == pytest.approx(largest.fun, rel=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("spread", "unit"), [(0.0, 1.0), (0.7, 1.0), (1.2, 1e-6)])
 def test_mean_and_spread_of_scenarios_are_made_least(spread, unit):
     masses = (1.0, 2.0, 4.0)

@@ -41,6 +41,7 @@ def tight(program, p=P):
     return solve(program, p=p, tolerance=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "scheme", [MultipleShooting(), Trapezoidal(), HermiteSimpson(), Radau(3)], ids=lambda scheme: scheme.name
 )

@@ -107,6 +107,7 @@ def integrated(phase, inputs):
     return y[:2], y[2]
 
 
+@pytest.mark.long
 def test_fishing_or_not_comes_as_near_as_one_likes_to_the_relaxed_optimum():
     best = refine(FISHING, Radau(3), intervals=40)
     assert best.cost == pytest.approx(1.34408, abs=5e-6)
@@ -135,6 +136,7 @@ def test_the_rounded_trajectory_is_that_of_an_own_integration(phase, one_of, sch
     assert gap_of(means, rounded.inputs, np.diff(relaxed.times)) == pytest.approx(rounded.gap, rel=2e-3)
 
 
+@pytest.mark.long
 def test_one_of_two_pumps_of_a_double_tank_at_a_time():
     best = solve(build(PUMPING, Radau(3), 100))
     found = [round_inputs(solve(build(PUMPING, Radau(3), n), start=best), one_of=True) for n in (50, 200)]

@@ -50,6 +50,7 @@ def test_at_a_level_that_is_held_plans_are_solved(level, off, length, time, cost
     assert plan.inputs == pytest.approx(held, rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.quick(2)
 @pytest.mark.parametrize(("length", "time", "cost"), UNITS)
 @pytest.mark.parametrize(("level", "reached"), [(0.05, 0.05), (-0.05, -0.05), (0.3, 0.224)], ids=["up", "down", "full"])

@@ -133,6 +133,7 @@ def test_no_linear_plant_draws_a_warning_of_its_sampling_time(linear):
         discretise(linear)
 
 
+@pytest.mark.long
 def test_every_linear_plant_is_linear_and_exactly_discretised(linear):
     """Against SciPy, each block in coordinates that balance the matrix, at 50 random designs."""
     if not linear.continuous:

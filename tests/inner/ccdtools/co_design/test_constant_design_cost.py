@@ -72,6 +72,7 @@ def test_the_landscape_has_the_same_hills_whatever_every_design_costs():
     np.testing.assert_allclose(tops[1], tops[0], atol=0.02)
 
 
+@pytest.mark.long
 def test_a_gradient_is_trusted_as_far_as_that_of_what_control_makes():
     checks = [check_gradients(problem, clone(), [1.0], rng=np.random.default_rng(0), runs=64)
               for problem in (priced(mass(), price) for price in PRICES)]  # fmt: skip

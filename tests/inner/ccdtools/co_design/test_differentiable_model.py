@@ -44,6 +44,7 @@ def test_observations_are_states_beside_the_design():
     assert out.tolist() == [[0, 0, 7, 8]] * 3
 
 
+@pytest.mark.long
 def test_returns_in_torch_equal_a_simulation_of_the_same_policy(study, clone):
     problem, agent = study.problem(), clone(study)
     x0, w = problem.scenarios.sample(20, 30, np.random.default_rng(2))
@@ -71,6 +72,7 @@ def test_an_objective_of_ones_own_is_what_the_design_is_trained_on(illustrative,
     torch.testing.assert_close(scaled, 3.0 * plain)
 
 
+@pytest.mark.long
 def test_a_run_that_diverges_is_frozen_and_counted_as_in_a_simulation(illustrative, clone):
     problem, agent = illustrative.problem(), clone(illustrative)
     x0 = np.array([[-10.0, -5.0], [0.0, 0.0]])

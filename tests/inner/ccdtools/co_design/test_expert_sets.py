@@ -121,6 +121,7 @@ def test_the_lqr_region_does_not_depend_on_units():
     assert 0.1 < inside.mean() < 0.6
 
 
+@pytest.mark.long
 def test_a_state_scaled_by_its_reach_lies_in_the_region_and_scaled_further_does_not():
     problem = chain(3)
     x, p = box_samples(problem, 200)
@@ -291,6 +292,7 @@ def pushed(mean, *, swing):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("swing", [False, True])
 def test_the_region_of_lqr_is_that_of_the_loop_that_is_pushed(swing):
     problem, still = (pushed(mean, swing=swing) for mean in (0.8, 0.0))

@@ -91,6 +91,7 @@ def test_values_are_those_of_the_updated_model(disturbances, explained):
         assert value == pytest.approx(discounted(problem, state, left), rel=1e-4)
 
 
+@pytest.mark.long
 def test_a_model_that_draws_its_errors_is_followed_too_and_a_lost_run_stays_lost():
     problem = replace(problem_of(2), discrepancy=Discrepancy(network(5 * PUSH), np.eye(3), noise="quantiles"))
     a, b = (expert_dataset(problem, samples=4, rng=np.random.default_rng(1), sets="none") for _ in range(2))

@@ -47,6 +47,7 @@ def test_only_the_methods_with_ppo_train_the_critic(problem, illustrative, clone
     assert any((a != b).any() for a, b in zip(own, before)) == trained
 
 
+@pytest.mark.long
 def test_a_policy_without_its_own_gradient_is_left_to_ppo(problem, illustrative, clone):
     agent = clone(illustrative)
     quiet = {"method": "ppo", "design_rate": 0.0, "iterations": 2}

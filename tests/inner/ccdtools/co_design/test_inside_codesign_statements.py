@@ -31,6 +31,7 @@ def weak(illustrative):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkeypatch, illustrative):
     looked = []
 

@@ -22,6 +22,7 @@ def test_the_landscape_is_lowest_where_a_constraint_is_broken_and_its_valleys_ar
     assert case.cost(found[0].design) <= 1.02 * case.best(4)[1]
 
 
+@pytest.mark.long
 def test_every_combination_of_a_few_whole_numbers_is_a_valley_and_the_best_comes_first():
     case = CASES["teeth"]
     found = valleys(case.problem(), case.start, rng=np.random.default_rng(0))

@@ -121,6 +121,7 @@ def test_the_depth_falls_with_the_room_as_differences_say():
     assert abs(slope.item()) > 1e-3
 
 
+@pytest.mark.long
 def test_an_agent_with_other_limits_is_refused(pair):
     problem, agent = pair[0]
     for other in (native(U=lambda p: (-p[0], 2 * p[0] ** 0.5)), in_parts()):

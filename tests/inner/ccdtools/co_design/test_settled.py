@@ -73,6 +73,7 @@ def claimed(problem, design, K, **options):
     return codesign(problem, method=Claims(design, controller, **options), rng=np.random.default_rng(0))
 
 
+@pytest.mark.long
 def test_where_the_tangent_has_no_lqr_a_claim_falls_below_that_of_the_secant():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     plant = Plant(x, u, w, p, ca.vertcat(x[1], (u * ca.fabs(u) - 0.1 * x[1] + w) / p), DesignSpace(["m"], [0.5], [2]),
@@ -250,6 +251,7 @@ def test_a_search_over_the_last_layer_improves_half_a_gain_and_not_a_whole_one(p
     assert whole.mean < 0.1
 
 
+@pytest.mark.long
 def test_learning_from_a_saturated_policy_starts_again_from_one_that_imitates_lqr(problem, clone, monkeypatch):
     from ccdtools.co_design.methods import learned
 
@@ -264,6 +266,7 @@ def test_learning_from_a_saturated_policy_starts_again_from_one_that_imitates_lq
     assert len(made) == 1
 
 
+@pytest.mark.long
 def test_the_gradient_of_the_paper_is_computed_where_it_is_asked_for(problem, clone):
     short = CoDesignConfig(iterations=1, evaluation_runs=64, pathwise_runs=16, starts=1)
     for gradient, known in (("pathwise", False), ("network_input", True)):
@@ -286,6 +289,7 @@ def test_what_a_lost_run_costs_is_stated():
         replace(problem, divergence=0)
 
 
+@pytest.mark.long
 def test_a_design_that_a_priced_limit_of_an_output_holds_has_settled_and_names_it(problem):
     push = OutputLimits(lambda x, u, p: (-2 * x[0] - 0.3 * x[1] + (1 + 0.5 * p[0]) * u[0]) / p[0], -4.0, 4.0)
     held = replace(problem, output_limits=push, limit_tolerance=(0.05, 0.3))
@@ -317,6 +321,7 @@ def test_a_result_remembers_that_the_plant_jumps():
     assert any("jump" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_limits_are_priced_until_they_are_kept_however_few_evaluations_a_round_has():
     """A spring that grows stiffer costs least at 0.8, where the limits are left; they are kept up to 0.4."""
     low, high = [-1, 0.1, 0.5, 0, 0.3, 0.05], [4, 1, 2, 6, 0.8, 0.15]

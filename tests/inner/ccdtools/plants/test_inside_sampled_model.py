@@ -10,6 +10,7 @@ from ccdtools.plants import deviations
 from ccdtools.plants.collocation import ImplicitStep
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [1.0, 1e-4, 1e-8, 1e-10, 1e-14, 0.0])
 def test_collocation_converges_where_rest_is_rest_but_for_rounding(size):
     plant = hot_plate()

@@ -36,6 +36,7 @@ def designs(n, own, rng):
     return rng.uniform(DESIGN.lower, DESIGN.upper, (n, 2) if own else 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", RUNS)
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("disturbed", [False, True])
@@ -84,6 +85,7 @@ def test_several_threads_may_step_one_model_with_many_numbers_of_runs(rng):
         assert not any(pool.map(differs, rng.choice(list(given), 3000)))
 
 
+@pytest.mark.long
 def test_compiled_operations_are_those_of_casadi_for_any_number():
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
     a, b = x[0], x[1]

@@ -30,12 +30,14 @@ def test_a_swing_up_begins_with_an_imitation_of_mpc():
     ]
 
 
+@pytest.mark.long
 def test_an_expert_that_is_asked_for_is_imitated_in_a_swing_up_too():
     stage = initialised("swing_up", expert="lqr", sets="none")
     assert stage.values["expert"] == "lqr"
     assert stage.values["candidates"] == 40
 
 
+@pytest.mark.long
 def test_where_lqr_is_an_expert_it_is_imitated_as_if_asked_for():
     chosen, asked = (initialised("illustrative", **options) for options in ({}, {"expert": "lqr"}))
     assert chosen.values["expert"] == "lqr"

@@ -14,6 +14,7 @@ from ccdtools.studies.in_service import InService
 from ccdtools.twin.deployable import Deployable
 
 
+@pytest.mark.long
 def test_a_run_has_the_table_after_each_generation(stored):
     folder = RunFolder(stored("spring", run_spring) / "run")
     first, second = (folder.read_stage(f"in-service-{g}").values for g in (1, 2))

@@ -137,6 +137,7 @@ def test_the_start_and_what_was_deployed_before_is_proposed_once_and_failures_ar
     assert formerly_deployed(returned, third) == {"generation 1": first}
 
 
+@pytest.mark.long
 def test_a_baseline_that_no_log_can_give_says_so_and_stands_for_no_other(evaluation, monkeypatch):
     def unstable(*_):
         raise NotStabilisableError("nothing pushes it")

@@ -84,6 +84,7 @@ def test_the_judge_has_the_sign_and_the_size_of_the_truth_from_either_end_of_the
     assert (nothing.mean, nothing.ci95) == (0.0, (0.0, 0.0))
 
 
+@pytest.mark.long
 def test_training_waits_for_a_slow_loop_and_not_for_a_fast_one():
     waits = {}
     for wall in ("slow", "fast"):
@@ -93,6 +94,7 @@ def test_training_waits_for_a_slow_loop_and_not_for_a_fast_one():
     assert waits["fast"] <= 10  # a quarter of a window
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("design", [0.5, 8.0])
 def test_after_the_warm_up_windows_rank_designs_as_whole_runs_do(design):
     evaluation, log = logged(tank(wall="slow", unit=1.0, runs=1, steps=3000), [design])

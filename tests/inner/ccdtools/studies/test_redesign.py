@@ -68,6 +68,7 @@ def judged(evaluation, candidate, current, twin):
     return judge.as_dict(candidate, verdict), verdict
 
 
+@pytest.mark.long
 def test_a_better_design_is_taken_and_looked_at_on_all_that_it_will_serve(evaluation, agent, noisy):
     decision, verdict = judged(evaluation, at(agent, 2.2), at(agent, 1.2), noisy)
     assert decision["accepted"]
@@ -102,6 +103,7 @@ def test_a_log_that_says_nothing_moves_no_design(evaluation, agent, silent):
     assert not back["accepted"]
 
 
+@pytest.mark.long
 def test_a_design_costs_half_a_per_cent_and_a_policy_a_tenth_by_default(evaluation, agent, noisy):
     moved, _ = judged(evaluation, at(agent, 2.1), at(agent, 2.0), noisy)
     stays, _ = judged(evaluation, at(agent, 2.0), at(agent, 2.0), noisy)
@@ -110,6 +112,7 @@ def test_a_design_costs_half_a_per_cent_and_a_policy_a_tenth_by_default(evaluati
     assert (moved["price"], stays["price"]) == ("0.5 %", "0.1 %")
 
 
+@pytest.mark.long
 def test_a_gain_beyond_chance_below_its_price_is_not_taken_and_says_so(evaluation, agent, noisy):
     free, _ = judged(evaluation, at(agent, 2.2), at(agent, 1.2), noisy)
     study = replace(evaluation.study, redesign_price=f"{1.01 * free['gain']['mean']} return")
@@ -120,6 +123,7 @@ def test_a_gain_beyond_chance_below_its_price_is_not_taken_and_says_so(evaluatio
     assert judged(replace(evaluation, study=cheap), at(agent, 2.2), at(agent, 1.2), noisy)[0]["accepted"]
 
 
+@pytest.mark.long
 def test_a_gain_on_the_log_that_costs_elsewhere_needs_the_users_word(evaluation, agent, noisy):
     """A log from near the origin asks for a small p, the study's start for a large one."""
     study = evaluation.study
@@ -169,6 +173,7 @@ def test_a_redesign_has_no_gain_where_what_is_deployed_loses_every_run(evaluatio
     assert decision["size"] == 0
 
 
+@pytest.mark.long
 def test_a_redesign_of_one_long_run_is_worth_as_much_by_two_logs_as_by_one(evaluation, agent):
     """Two equal logs gain twice what one does, in twice the time."""
     study = evaluation.study

@@ -174,6 +174,7 @@ def test_a_price_in_per_cent_is_of_what_control_makes_whatever_the_design_costs(
     assert decisions[0][0]["predicted"].startswith("+15 %")
 
 
+@pytest.mark.long
 def test_what_mpc_may_do_is_told_by_runs_that_nothing_lost(illustrative):
     """Kicked runs, in which MPC leaves X far, and which both laws lose."""
     problem = evaluation_of(illustrative).problem

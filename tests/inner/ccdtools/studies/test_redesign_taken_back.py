@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
+import pytest
 
 from ccdtools import (
     CoDesignProblem,
@@ -22,6 +23,7 @@ from ccdtools.statistics import PairedDifference
 from ccdtools.studies import by_fit, fitted_generations
 
 
+@pytest.mark.long
 def test_what_is_worse_on_the_real_plant_goes_out_of_service(monkeypatch):
     x, u, w, k = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k")
     rates = [x[1], -k * x[0] - 0.3 * x[1] + u + w]

@@ -95,6 +95,7 @@ def test_two_state_study_has_every_figure(spring):
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_figures_that_a_study_cannot_have_are_left_out(masses):
     assert figures_of(masses[0]) == {
         "changes", "history", "comparison", "feasible_sets", "trajectories_model", "trajectories_real", "quantiles_1",
@@ -196,6 +197,7 @@ def test_every_decision_stands_on_the_page_with_all_its_evidence(spring):
     assert [cell for cell in shown if cell in said] == said
 
 
+@pytest.mark.long
 def test_the_report_is_imported_without_torch():
     code = "import sys, ccdtools.studies.report.report; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -25,6 +25,7 @@ def test_a_single_channel_may_be_a_plain_sequence(suspension):
     assert log.inputs.shape == (1, 7, 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runs", [1, 6])
 def test_stretches_join_without_a_gap(illustrative, clone, runs):
     steps = 240 if runs == 1 else 40
@@ -50,6 +51,7 @@ def test_without_updates_the_deployment_is_one_piece_under_the_first_policy(illu
     np.testing.assert_array_equal(done.log.states, whole.states)
 
 
+@pytest.mark.long
 def test_the_agent_passed_in_is_not_changed(illustrative, clone):
     agent = clone(illustrative)
     before = copy.deepcopy(agent.state_dict())
@@ -78,6 +80,7 @@ class Dying:
         return dying
 
 
+@pytest.mark.long
 def test_the_parts_that_ended_before_a_simulator_died_are_kept(illustrative, clone):
     agent, w = clone(illustrative), disturbances(illustrative, 1, 240)
     given = {"x0": start(), "disturbance": w, "config": ONLINE}

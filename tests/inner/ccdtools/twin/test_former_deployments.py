@@ -133,6 +133,7 @@ def test_on_the_updated_model_runs_of_what_was_deployed_are_those_of_the_log(ill
     np.testing.assert_allclose(run.states[:, :-1], former.x, atol=1e-4)
 
 
+@pytest.mark.long
 def test_where_the_input_is_weaker_in_truth_the_updated_model_says_what_a_candidate_brings(illustrative, clone):
     """The real plant has 60 % of the input; a policy of a higher gain is better there, and worse on the model."""
     plant = illustrative.plant

@@ -83,6 +83,7 @@ def test_a_generation_measures_its_own_held_out_stretches_or_says_that_they_are_
     assert held_out_bands(twin, log, LAW, rng=np.random.default_rng(0), since=6000) is None
 
 
+@pytest.mark.long
 def test_a_run_may_start_from_a_known_error(illustrative, twin, log):
     errors = residuals(illustrative.model, log)
     drawing = replace(twin.discrepancy, noise="quantiles")

@@ -64,6 +64,7 @@ def model():
     return SampledModel(boat(), 0.1, "rk4", 8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("force", FORCES)
 @pytest.mark.parametrize("method", ["rk4", "collocation"])
 def test_the_disturbances_of_a_log_are_found_and_another_design_meets_them(force, method):
@@ -132,6 +133,7 @@ def test_an_error_that_has_another_cause_makes_no_large_disturbance(force):
     np.testing.assert_allclose(after, log.states[:, 1:], atol=1e-13)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("force", FORCES)
 def test_the_disturbances_do_not_depend_on_units(force):
     found = []

@@ -41,6 +41,7 @@ def test_one_value_all_along_is_named_too(noise):
     assert "stuck, or coarser than its noise" in said  # which of both, one value does not tell
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step", [0.3, 1.0, 3.0])
 def test_a_sensor_that_rounds_is_not_named_at_rest_or_in_motion_as_seldom_as_stated(rng, step):
     alarms = 0

@@ -47,6 +47,7 @@ def test_a_candidate_that_loses_a_run_is_refused(illustrative, clone, monkeypatc
     assert all(update.verdict.status is Status.MORE_LOST for update in done.updates)
 
 
+@pytest.mark.long
 def test_an_update_follows_every_stretch_but_the_last(illustrative, clone):
     done = deployed(illustrative, clone(illustrative), runs=1, steps=300)
     assert [update.after for update in done.updates] == [100, 200]

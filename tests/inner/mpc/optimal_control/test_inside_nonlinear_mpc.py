@@ -42,6 +42,7 @@ def pole(**changes):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     controller = pole()
     x = np.array([0.0, 0.3, 0.0, 0.0])

@@ -3,11 +3,13 @@
 from itertools import count
 from types import SimpleNamespace
 
+import pytest
 from classical_problems import CLASSICAL
 
 from mpc.optimal_control import OptimalControlStatus, Radau, build, refine, refinement, solve
 
 
+@pytest.mark.long
 def test_time_limit_is_of_all_meshes_together_and_the_best_is_kept(monkeypatch):
     phase = CLASSICAL["catalyst mixing"].phase
     seconds = count()

@@ -26,6 +26,7 @@ def law(sx=UNITS[0][0], su=UNITS[0][1], cost=1.0, P=P, **changes):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("iterations", [None, 1])
 def test_it_parks(iterations):
     controller, x = law(iterations=iterations), np.array([-1.0, 0.5, 0.0])

@@ -83,6 +83,7 @@ def ca_cost(controller, plan, given):
     return cost + error[-1] @ linear.P @ error[-1]
 
 
+@pytest.mark.long
 @needs_compiler
 def test_compiled_it_is_the_same_and_controls_like_the_optimum(tmp_path):
     controller = law({"U": 4.0, "X": [1.5, 3.0], "rate_limit": 2.0}, iterations=1)
