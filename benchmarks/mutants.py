@@ -354,7 +354,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0, help="processor time for the tests of one mutant")
     options = parser.parse_args()
     if options.reach is not None:
-        chosen = "not check and not slow" if options.quick else "not slow"
+        chosen = "not check and not long and not slow" if options.quick else "not slow"
         measure_reach(options.processes, [*options.reach, "-m", chosen])
         return
     reach = [json.loads(line) for line in (STORE / "reach.jsonl").read_text(encoding="utf-8").splitlines()]
