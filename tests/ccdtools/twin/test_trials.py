@@ -298,7 +298,7 @@ def test_logs_that_tell_no_plant_are_named(problem):
 @pytest.mark.long
 @pytest.mark.parametrize(("gust", "gain"), [(1.8, 0.6), (2.0, 0.35)])
 def test_what_a_candidate_loses_in_one_gust_is_not_explained_away(gust, gain):
-    """Its input works the other way far from rest: it is a fifth better in calm, and that much worse in a gust."""
+    """Its input works the other way far from rest: it is better in calm, and worse in a gust."""
     x, u, w, p = (ca.SX.sym(name) for name in "xuwp")
 
     def scalar(share):
