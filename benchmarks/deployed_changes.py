@@ -244,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"| {' | '.join(row)} |", flush=True)
             found.append(row)
     worse, back = (sum(row[-1] == word for row in found) for word in ("**worse**", "less return, nearer to X"))
-    print(f"\n{worse} of {len(found)} are worse by more than {TOLERANCE} %, or lose more runs; {back} come back to X for it")
+    print(f"\n{worse} of {len(found)} are worse by more than {TOLERANCE} %, or lose more runs; {back} are nearer to X")
 
 
 if __name__ == "__main__":
