@@ -246,7 +246,8 @@ def codesign(
             found = compare_methods(
                 own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=True, each=keep
             )
-            typer.echo(f"{own.title}, seed {options.seed}\n\n{found}")
+            where = ", on the state of the model" if own.options_taken else ""
+            typer.echo(f"{own.title}{where}, seed {options.seed}\n\n{found}")
             if folder is not None:
                 typer.echo(f"\nTable and picture: {write_methods(own.title, found, folder)}")
     except KeyboardInterrupt:

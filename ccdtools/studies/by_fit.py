@@ -14,6 +14,7 @@ from scipy.stats import t
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import as_method, codesign
+from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.output_filter import estimator_at, memory_at
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.controllers.observed import Observed
@@ -132,7 +133,8 @@ def fitted_generations(
     Where states are logged that update is LQR of the affine model that they tell at the former design
     (`identified_lqr`), where outputs are the former law behind the filter of the plant that they tell, if it is better
     as deployed beyond chance, no worse elsewhere, and breaks no limit. A redesign for a fit that is LASTING or OPEN
-    must be better so, too.
+    must be better so, too. A policy that is learned on the state (`Learned(history=0)`) is judged there by `codesign`,
+    and behind its filter by the real plant alone.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
@@ -333,7 +335,7 @@ def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:
 
 def _designed(problem: CoDesignProblem, by: Any, design: ArrayLike | None, rng: np.random.Generator) -> Any:
     """Co-design; a policy learned on the state is judged there, and behind its filter by the real plant."""
-    if problem.measurement is None or getattr(by, "history", None) != 0:
+    if problem.measurement is None or not isinstance(by, Learned) or by.history != 0:
         return codesign(problem, method=by, design=design, rng=rng)
     found: Any = codesign(replace(problem, measurement=None), method=by, design=design, rng=rng)
     return replace(found, memory=memory_at(problem, found.design, None))

@@ -11,8 +11,11 @@ from ccdtools.arrays import ArrayField
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
+from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE
 from ccdtools.studies.study import Study
 from ccdtools_ground.door import as_vector, shown
+
+LQG = "LQG"  # a baseline of every run
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -32,7 +35,8 @@ class OnSensors(Study):
     Raises
     ------
     InputError
-        As of a `Study`; if nothing is `unknown`, or the plants' outputs differ.
+        As of a `Study` and `fitted_generations`; if nothing is `unknown`, the plants' outputs differ, or something is
+        stated that such a run does not use: a real plant that wears, a filter of inputs, prices of redesigns.
     """
 
     options_taken: ClassVar[tuple[str, ...]] = (
@@ -50,6 +54,21 @@ class OnSensors(Study):
             raise InputError("unknown", "nothing", "a plant whose unknown entries the outputs can tell")
         if getattr(self.real.plant, "ny", 0) != self.plant.ny:
             raise InputError("real.plant", "one with other outputs", f"the {self.plant.ny} of the model")
+        if LQG in self.laws:
+            raise InputError("laws", f"the name {LQG!r}", "another: it is a baseline of every such run")
+        plain = {"real.later": (self.real.later, ()), "filter": (self.filter, "none"),
+                 "redesign_cost": (self.redesign_cost, None), "redesign_price": (self.redesign_price, DEFAULT_PRICE),
+                 "accept_loss": (self.accept_loss, ACCEPTED_LOSS)}  # fmt: skip
+        for name, (got, usual) in plain.items():
+            if got != usual:
+                raise InputError(
+                    name, shown(got), f"{usual!r}: a run {self.runs_so.removeprefix('whose ')} uses no other"
+                )
+        if self.settings.get("real_runs", 2) < 2:
+            raise InputError("settings", f"real_runs = {self.settings['real_runs']}", "2 and more, for an interval")
+        from ccdtools.studies.by_fit import FittedLoop  # learning is loaded where it is asked for
+
+        FittedLoop(self.sensed, self.real, self.unknown)
 
     @property
     def sensed(self) -> CoDesignProblem:
