@@ -11,8 +11,8 @@ export OMP_NUM_THREADS ?= 1
 .PHONY: run test quick check kernels targets lint bench docs notebooks pictures clean
 .DELETE_ON_ERROR:
 
-run: $(SETUP)          ## a semi-active car for two drivers, start to report, within two minutes on two cores
-	$(BIN)/ccdtools run semi_active_damper --generations 1 --jobs 2 $(ARGS)
+run: $(SETUP)          ## a semi-active car on its sensors, two generations, within two minutes on two cores
+	$(BIN)/ccdtools run semi_active_sensors --jobs 2 $(ARGS)
 
 test: $(SETUP)         ## lint, types, import contracts and every quick test: within five minutes on two cores
 	@$(MAKE) --no-print-directory --jobs 2 lint quick

@@ -2,9 +2,10 @@
 
 ``python benchmarks/deployed_changes.py FOLDER ... [--runs 2000] [--seed 9]`` drives the policies before and after each
 redesign, update and roll-back on the real plant, in pairs, and prints a row per change and distribution: those that a
-later deployment took back stand there as well, and what came after them. Of the package it takes the policies (states
-to inputs) and the roads that a driver makes; plants, costs and limits are stated here a second time, or in
-`gallery.oracle`. The last line counts the changes that are worse by more than 0.5 % beyond chance.
+later deployment took back stand there as well, and what came after them. How far X is left at most, after / before, is
+the mean over runs in half-widths. Of the package it takes the policies (states to inputs) and the roads that a driver
+makes; plants, costs and limits are stated here a second time, or in `gallery.oracle`. The last line counts the changes
+that are worse by more than 0.5 % beyond chance, apart from those that leave X less far beyond chance.
 """
 
 from __future__ import annotations
@@ -128,10 +129,10 @@ def truth_of(results: dict) -> Truth:
 
 
 def returns(truth: Truth, policy: LearnedPolicy, x0: Array, w: Array) -> tuple[Array, Array, Array]:
-    """Returns (n,), runs that are lost (n,), and runs that stayed within X (n,)."""
+    """Returns (n,), runs that are lost (n,), and how far runs leave X at most, in half-widths (n,)."""
     step = truth.step(np.asarray(policy.design, dtype=float))
     half = (truth.upper - truth.lower) / 2
-    x = x0
+    x, deepest = x0, np.zeros(len(x0))
     total = np.zeros(len(x0))
     lost = np.zeros(len(x0), dtype=bool)
     for k in range(w.shape[1]):
@@ -140,7 +141,8 @@ def returns(truth: Truth, policy: LearnedPolicy, x0: Array, w: Array) -> tuple[A
             x = np.clip(np.nan_to_num(step(x, u, w[:, k])), -LOST * half, LOST * half)
         total -= x**2 @ truth.Q + u**2 @ truth.R
         lost |= (np.abs(x) >= LOST * half).any(axis=1)
-    return total, lost, x
+        deepest = np.maximum(deepest, (np.maximum(x - truth.upper, truth.lower - x) / half).max(axis=1))
+    return total, lost, deepest
 
 
 def box(truth: Truth, design: Array, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -211,13 +213,20 @@ def rows(folder: Path, runs: int, seed: int) -> Iterator[tuple[str, ...]]:
         for place, (x0, w) in drawn.items():
             if not len(x0):
                 continue
-            (own, lost, _), (other, lost_before, _) = (returns(truth, policy, x0, w) for policy in (after, before))
+            (own, lost, deep), (other, lost_before, deeper) = (returns(truth, one, x0, w) for one in (after, before))
             kept = ~(lost | lost_before)
-            difference = 100 * (own - other)[kept] / abs(other[kept].mean())
-            half = stats.t.ppf(0.975, kept.sum() - 1) * difference.std(ddof=1) / np.sqrt(kept.sum())
-            worse = difference.mean() + half < -TOLERANCE or lost.sum() > lost_before.sum()
-            yield (folder.name, name, place, f"{difference.mean():+.2f} ± {half:.2f}",
-                   f"{lost.sum()} / {lost_before.sum()}", "**worse**" if worse else "")  # fmt: skip
+            difference, half = in_pairs(100 * (own - other)[kept] / abs(other[kept].mean()))
+            back, chance = in_pairs((deep - deeper)[kept])
+            word = "less return, nearer to X" if back + chance < 0 else "**worse**"
+            worse = difference + half < -TOLERANCE or lost.sum() > lost_before.sum()
+            yield (folder.name, name, place, f"{difference:+.2f} ± {half:.2f}", f"{lost.sum()} / {lost_before.sum()}",
+                   f"{deep[kept].mean():.3f} / {deeper[kept].mean():.3f}", word if worse else "")  # fmt: skip
+
+
+def in_pairs(differences: Array) -> tuple[float, float]:
+    """Mean and half width of its 95 % interval."""
+    n = len(differences)
+    return differences.mean(), stats.t.ppf(0.975, n - 1) * differences.std(ddof=1) / np.sqrt(n)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -227,15 +236,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=9)
     given = parser.parse_args(arguments)
-    print("| run | change | distribution | change of the return [%] | lost after / before | |")
-    print("|---|---|---|---|---|---|")
+    head = ("run", "change", "distribution", "change of the return [%]", "lost after / before", "outside X", "")
+    print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|")
     found = []
     for folder in given.folders:
         for row in rows(folder, given.runs, given.seed):
             print(f"| {' | '.join(row)} |", flush=True)
             found.append(row)
-    worse = sum(bool(row[-1]) for row in found)
-    print(f"\n{worse} of {len(found)} are worse by more than {TOLERANCE} %, or lose more runs")
+    worse, back = (sum(row[-1] == word for row in found) for word in ("**worse**", "less return, nearer to X"))
+    print(f"\n{worse} of {len(found)} are worse by more than {TOLERANCE} %, or lose more runs; {back} are nearer to X")
 
 
 if __name__ == "__main__":

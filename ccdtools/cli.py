@@ -246,7 +246,8 @@ def codesign(
             found = compare_methods(
                 own.problem(), asked, seed=options.seed, design=own.p0, jobs=processes, progress=True, each=keep
             )
-            typer.echo(f"{own.title}, seed {options.seed}\n\n{found}")
+            where = ", on the state of the model" if own.options_taken else ""
+            typer.echo(f"{own.title}{where}, seed {options.seed}\n\n{found}")
             if folder is not None:
                 typer.echo(f"\nTable and picture: {write_methods(own.title, found, folder)}")
     except KeyboardInterrupt:
@@ -399,8 +400,11 @@ def _check_jobs(prepared: PreparedRun, jobs: int) -> None:
 
 def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
     """Run what is not finished yet, and report."""
+    from ccdtools.studies.fitted_run import FittedRun
     from ccdtools.studies.generations import Generations
     from ccdtools.studies.loading import blamed_on_source
+    from ccdtools.studies.on_sensors import OnSensors
+    from ccdtools.studies.report.fitted_page import write_fitted
     from ccdtools.studies.report.report import write_report
     from ccdtools.studies.report.side_by_side_page import write_side_by_side
     from ccdtools.studies.report.tables import console_table
@@ -418,10 +422,13 @@ def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
         if isinstance(study, SideBySide):
             found = SideBySideRun(study, prepared.config, folder, **asked).run()
             text, report = write_side_by_side(study, *found, folder, quick=options.quick)
+        elif isinstance(study, OnSensors):
+            asked |= {"generations": options.generations, "jobs": jobs}
+            kept = FittedRun(study, prepared.config, folder, **asked).run()
+            text, report = write_fitted(study, *kept, folder, quick=options.quick)
         else:
-            results = Generations(
-                study, prepared.config, folder, generations=options.generations, jobs=jobs, **asked
-            ).run()
+            asked |= {"generations": options.generations, "jobs": jobs}
+            results = Generations(study, prepared.config, folder, **asked).run()
             typer.echo("Figures and report")
             report = write_report(study, folder)
             text = f"{results['headline']}\n\n{console_table(results)}"

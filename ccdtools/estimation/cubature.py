@@ -249,7 +249,11 @@ class CubatureKalmanFilter(Filter):
 
 def _function(symbols: tuple[Any, Any, Any], parts: Regressed) -> ca.Function:
     """Function (x, P, u) → parts of a regression."""
-    return ca.Function("over", list(symbols), [ca.densify(part) for part in parts])
+    function = ca.Function("over", list(symbols), [ca.densify(part) for part in parts])
+    with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
+        given: list[Any] = function.sx_in()
+        return ca.Function("over", given, list(function.expand()(*given)), {"cse": True})
+    return function
 
 
 def _columns(belief: Belief) -> Array:

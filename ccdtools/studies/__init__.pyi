@@ -1,6 +1,7 @@
 from ccdtools.studies.by_fit import FittedGeneration as FittedGeneration, fitted_generations as fitted_generations
 from ccdtools.studies.generations import Generations as Generations
 from ccdtools.studies.loading import load_study as load_study
+from ccdtools.studies.on_sensors import OnSensors as OnSensors
 from ccdtools.studies.options import study_names as study_names
 from ccdtools.studies.presets import StudyConfig as StudyConfig, configuration as configuration
 from ccdtools.studies.real_plant import RealPlant as RealPlant

@@ -14,7 +14,6 @@ from ccdtools.studies.loading import load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
 from ccdtools.studies.price import DEFAULT_PRICE
 from ccdtools.studies.redesign_cost import RedesignCost
-from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 from ccdtools_ground.door import as_choice
@@ -52,11 +51,11 @@ def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
 
 
 def _check_effect(options: Options, study: Study) -> None:
-    if isinstance(study, SideBySide):
-        for field in fields(Options)[1:]:
-            if field.name not in ("seed", "quick", "p0") and getattr(options, field.name) != field.default:
-                got = f"it for {study.name!r}, whose designs stand side by side"
-                raise InputError(f"--{field.name.replace('_', '-')}", got, "--seed, --quick and --p0 alone")
+    for field in fields(Options)[1:] if study.options_taken else ():
+        if field.name not in study.options_taken and getattr(options, field.name) != field.default:
+            *some, last = (f"--{name.replace('_', '-')}" for name in study.options_taken)
+            got = f"it for {study.name!r}, {study.runs_so}"
+            raise InputError(f"--{field.name.replace('_', '-')}", got, f"{', '.join(some)} and {last} alone")
     if options.expert is not None:
         as_choice("--expert", options.expert, (*STUDY_EXPERTS, *study.laws))
     sets = study.sets if options.sets is None else options.sets

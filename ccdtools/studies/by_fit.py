@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,7 +14,8 @@ from scipy.stats import t
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import as_method, codesign
-from ccdtools.co_design.output_filter import estimator_at
+from ccdtools.co_design.methods.learned import Learned
+from ccdtools.co_design.output_filter import estimator_at, memory_at
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.controllers.observed import Observed
 from ccdtools.disturbances.disturbance import Disturbance
@@ -119,7 +120,7 @@ class FittedGeneration:
 def fitted_generations(
     problem: CoDesignProblem, real: RealPlant, *, method: Any = "nested", generations: int = 2,
     design: ArrayLike | None = None, plant: Plant | None = None, noise: str = "fitted", draws: int = 20,
-    rng: np.random.Generator,
+    trial_runs: int | None = None, rng: np.random.Generator,
 ) -> tuple[FittedGeneration, ...]:  # fmt: skip
     """Generations of a problem on a real plant.
 
@@ -132,7 +133,8 @@ def fitted_generations(
     Where states are logged that update is LQR of the affine model that they tell at the former design
     (`identified_lqr`), where outputs are the former law behind the filter of the plant that they tell, if it is better
     as deployed beyond chance, no worse elsewhere, and breaks no limit. A redesign for a fit that is LASTING or OPEN
-    must be better so, too.
+    must be better so, too. A policy that is learned on the state (`Learned(history=0)`) is judged there by `codesign`,
+    and behind its filter by the real plant alone.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
 
@@ -149,6 +151,9 @@ def fitted_generations(
         Of `fit_plant`.
     draws : int
         Plants drawn from what is known of the parameters, for the interval of a prediction.
+    trial_runs : int, optional
+        Runs of each drive of the real plant in which something new is tried, and of its prediction; by default so many
+        as 500 episodes.
 
     Raises
     ------
@@ -161,68 +166,86 @@ def fitted_generations(
     >>> for one in fitted_generations(problem, real, method=Nested("lqg"), rng=rng):  # doctest: +SKIP
     ...     print(one)
     """
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    as_instance("real", real, RealPlant, "a RealPlant")
-    as_count("draws", draws, least=2)
+    loop = FittedLoop(problem, real, plant, noise, draws, trial_runs)
     as_count("generations", generations)
-    as_choice("noise", noise, ("fitted", "known"))
     as_generator("rng", rng)
     by = as_method(method)
-    sensors = problem.measurement
-    if plant is not None:
-        stated_plant(problem, plant)
-    elif sensors is None:
-        check_changeable(problem)
-    start = problem.scenarios
-    if sensors is not None and isinstance(start, FixedStart) and not np.array_equal(real.x0, start.x0):
-        cure = "State where it may start: RandomStarts(Gaussian(…), disturbance)."
-        raise InputError("real.x0", shown(real.x0), f"{shown(start.x0)}, the start that the filter knows", cure)
-    if isinstance(getattr(sensors, "output", None), Plant) and isinstance(real.plant, Plant) and real.plant.ny:
-        sensors = replace(sensors, output=real.plant)
-
-    on = _Deployments(problem, real, sensors)
-
-    def logged(one: Any, **told: Any) -> FittedGeneration:
-        """Generation of what is deployed."""
-        log = on.run(one, on.scenario(real.runs, int(rng.integers(2**31)), real.disturbance))
-        return FittedGeneration(one.design, one.controller, log, agent=getattr(one, "agent", None), **told)
-
-    found = [logged(codesign(problem, method=by, design=design, rng=rng))]
+    found = [loop.first(by, design, rng)]
     while len(found) < generations and found[-1].status is DeploymentStatus.LOGGED:
-        before = found[-1]
-        fit: PlantFit | IdentifiedChange
-        if plant is None and sensors is None:
-            fit = identified_change(problem, before.log)  # of an affine model, which is right where the loop is now
-        else:
-            fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
-        again: Any = None
-        predicted = updated = None
-        if not isinstance(fit, PlantFit) or fit.status is not FitStatus.UNSOLVED:
-            updated = fit.likeliest(problem) if isinstance(fit, PlantFit) else fit.updated(problem)
-            going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
-            again = codesign(updated, method=going_on, design=before.design, rng=rng)
-            predicted = _predicted(problem, fit, updated, again, before, draws, rng)
-            again = again if predicted.ci95[0] > 0 else None
-        told = _by_logs(problem, found, updated)
-        deployed, measured = before, dict[str, Any]()
-        if told is not None or again is not None:
-            deployed, measured = on.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
-        found.append(logged(deployed, fit=fit, predicted=predicted, accepted=deployed is again, **measured))
+        found.append(loop.following(by, found, rng))
     return tuple(found)
 
 
 @dataclass(frozen=True)
-class _Deployments:
-    """Runs of the real plant."""
+class FittedLoop:
+    """Generations on a real plant, one after the other; fields as of `fitted_generations`."""
 
     problem: CoDesignProblem
     real: RealPlant
-    sensors: Any
+    plant: Plant | None = None
+    noise: str = "fitted"
+    draws: int = 20
+    trial_runs: int | None = None
 
     def __post_init__(self) -> None:
+        as_instance("problem", self.problem, CoDesignProblem, "a CoDesignProblem")
+        as_instance("real", self.real, RealPlant, "a RealPlant")
+        as_count("draws", self.draws, least=2)
+        if self.trial_runs is not None:
+            as_count("trial_runs", self.trial_runs, least=2)
+        as_choice("noise", self.noise, ("fitted", "known"))
+        if self.plant is not None:
+            stated_plant(self.problem, self.plant)
+        elif self.problem.measurement is None:
+            check_changeable(self.problem)
+        start = self.problem.scenarios if self.problem.measurement is not None else None
+        if isinstance(start, FixedStart) and not np.array_equal(self.real.x0, start.x0):
+            expected = f"{shown(start.x0)}, the start that the filter knows"
+            cure = "State where it may start: RandomStarts(Gaussian(…), disturbance)."
+            raise InputError("real.x0", shown(self.real.x0), expected, cure)
         others = {f"real.held_out[{name!r}]": drive for name, drive in (self.real.held_out or {}).items()}
         for name, drive in ({"real.disturbance": self.real.disturbance} | others).items():
             check_disturbance(name, drive, self.real.plant, self.real.steps)
+
+    @property
+    def sensors(self) -> Any:
+        """Sensors of the real plant; None where states are seen."""
+        own, plant = self.problem.measurement, self.real.plant
+        if isinstance(getattr(own, "output", None), Plant) and isinstance(plant, Plant) and plant.ny:
+            return replace(own, output=plant)
+        return own
+
+    def first(self, by: Any, design: ArrayLike | None, rng: np.random.Generator) -> FittedGeneration:
+        """First design and its log."""
+        return self._logged(_designed(self.problem, by, design, rng), rng)
+
+    def following(self, by: Any, found: Sequence[FittedGeneration], rng: np.random.Generator) -> FittedGeneration:
+        """Generation after those so far."""
+        before = found[-1]
+        fit: PlantFit | IdentifiedChange
+        if self.plant is None and self.sensors is None:
+            fit = identified_change(self.problem, before.log)  # affine, which is right where the loop is now
+        else:
+            fit = fit_plant(self.problem, [one.log for one in found], plant=self.plant, noise=self.noise)
+        again: Any = None
+        predicted = updated = None
+        if not isinstance(fit, PlantFit) or fit.status is not FitStatus.UNSOLVED:
+            updated = fit.likeliest(self.problem) if isinstance(fit, PlantFit) else fit.updated(self.problem)
+            going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
+            again = _designed(updated, going_on, before.design, rng)
+            predicted = self._predicted(fit, updated, again, before, rng)
+            again = again if predicted.ci95[0] > 0 else None
+        told = _by_logs(self.problem, found, updated)
+        deployed, measured = before, dict[str, Any]()
+        if told is not None or again is not None:
+            deployed, measured = self.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
+        told_by = {"fit": fit, "predicted": predicted, "accepted": deployed is again}
+        return self._logged(deployed, rng, **told_by, **measured)
+
+    def _logged(self, one: Any, rng: np.random.Generator, **told: Any) -> FittedGeneration:
+        """Generation of what is deployed."""
+        log = self.run(one, self.scenario(self.real.runs, int(rng.integers(2**31)), self.real.disturbance))
+        return FittedGeneration(one.design, one.controller, log, agent=getattr(one, "agent", None), **told)
 
     def scenario(self, runs: int, seed: int, drive: Disturbance) -> Scenario:
         """So many runs of a drive, the same by the same seed."""
@@ -239,11 +262,38 @@ class _Deployments:
         kept = ~(after.diverged | before.diverged)
         return paired_difference(*(run.returns(self.problem.objective)[kept] for run in (after, before)))
 
+    def _predicted(
+        self, fit: PlantFit | IdentifiedChange, updated: CoDesignProblem, one: Any, other: Any, rng: np.random.Generator
+    ) -> PairedDifference:  # fmt: skip
+        """Gain of one over another on a fit's plant.
+
+        Its interval has the spread over plants drawn from the fit in it, and no end where one loses more runs.
+        """
+        seed = int(rng.integers(2**31))
+
+        def gains(on: CoDesignProblem, runs: int | None) -> Array:
+            """Gains on common runs; none where one loses more."""
+            after, before = (
+                closed_loop_returns(on, of.controller, of.design, np.random.default_rng(seed), runs=runs)
+                for of in (one, other)
+            )
+            return (after.values - before.values)[~(after.lost | before.lost) & (after.lost_share <= before.lost_share)]
+
+        few = max((self.trial_runs or REAL_RUNS) // self.draws, 2)
+        drawn = [gains(each, few) for each in fit.drawn(self.problem, self.draws, rng)]
+        whole = gains(updated, self.trial_runs)
+        if not len(whole) or not all(map(len, drawn)):
+            return PairedDifference(float("nan"), (-np.inf, np.inf))
+        found = paired_difference(whole, np.zeros(len(whole)))
+        spread = float(np.std([part.mean() for part in drawn], ddof=1))
+        half = np.hypot((found.ci95[1] - found.ci95[0]) / 2, t.ppf(0.975, self.draws - 1) * spread)
+        return PairedDifference(found.mean, (found.mean - half, found.mean + half))
+
     def trial(
         self, before: FittedGeneration, told: Any, again: Any, seed: int, doubtful: bool
     ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
         """What is deployed, and measured gains by attribute of a generation."""
-        runs = max(REAL_RUNS * self.problem.steps // self.real.steps, 2)
+        runs = self.trial_runs or max(REAL_RUNS * self.problem.steps // self.real.steps, 2)
         others = self.real.held_out or {}
         scenarios = [self.scenario(runs, seed, drive) for drive in (self.real.disturbance, *others.values())]
 
@@ -283,8 +333,16 @@ def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:
     return isinstance(fit, PlantFit) and fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND)
 
 
+def _designed(problem: CoDesignProblem, by: Any, design: ArrayLike | None, rng: np.random.Generator) -> Any:
+    """Co-design; a policy learned on the state is judged there, and behind its filter by the real plant."""
+    if problem.measurement is None or not isinstance(by, Learned) or by.history != 0:
+        return codesign(problem, method=by, design=design, rng=rng)
+    found: Any = codesign(replace(problem, measurement=None), method=by, design=design, rng=rng)
+    return replace(found, memory=memory_at(problem, found.design, None))
+
+
 def _by_logs(
-    problem: CoDesignProblem, found: list[FittedGeneration], updated: CoDesignProblem | None
+    problem: CoDesignProblem, found: Sequence[FittedGeneration], updated: CoDesignProblem | None
 ) -> FittedGeneration | None:  # fmt: skip
     """What is deployed, with LQR or a filter by the logs; None without one."""
     deployed = found[-1]
@@ -296,31 +354,3 @@ def _by_logs(
         with suppress(NotStabilisableError):
             return replace(deployed, controller=identified_lqr(problem, deployed.design, logs))
     return None
-
-
-def _predicted(
-    problem: CoDesignProblem, fit: PlantFit | IdentifiedChange, updated: CoDesignProblem, one: Any, other: Any,
-    draws: int, rng: np.random.Generator,
-) -> PairedDifference:  # fmt: skip
-    """Gain of one over another on a fit's plant.
-
-    Its interval has the spread over plants drawn from the fit in it, and no end where one loses more runs.
-    """
-    seed = int(rng.integers(2**31))
-
-    def gains(on: CoDesignProblem, runs: int | None) -> Array:
-        """Gains on common runs; none where one loses more."""
-        after, before = (
-            closed_loop_returns(on, of.controller, of.design, np.random.default_rng(seed), runs=runs)
-            for of in (one, other)
-        )
-        return (after.values - before.values)[~(after.lost | before.lost) & (after.lost_share <= before.lost_share)]
-
-    drawn = [gains(each, max(REAL_RUNS // draws, 2)) for each in fit.drawn(problem, draws, rng)]
-    whole = gains(updated, None)
-    if not len(whole) or not all(map(len, drawn)):
-        return PairedDifference(float("nan"), (-np.inf, np.inf))
-    found = paired_difference(whole, np.zeros(len(whole)))
-    spread = float(np.std([part.mean() for part in drawn], ddof=1))
-    half = np.hypot((found.ci95[1] - found.ci95[0]) / 2, t.ppf(0.975, draws - 1) * spread)
-    return PairedDifference(found.mean, (found.mean - half, found.mean + half))

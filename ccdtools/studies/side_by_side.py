@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,6 +45,8 @@ class SideBySide(Study):
         As of a `Study`; if a use has no held-out disturbance, there are no metrics, or the plants' outputs differ.
     """
 
+    options_taken: ClassVar[tuple[str, ...]] = ("seed", "quick", "p0")
+    runs_so: ClassVar[str] = "whose designs stand side by side"
     uses: Mapping[str, Disturbance]
     noise: ArrayField
     history: int = 8

@@ -10,7 +10,6 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.imitation import first_policy
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.evidence.drift import DriftStatus
@@ -20,6 +19,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.studies.account import account, proposed, refused, region_line
 from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.first_policy import imitated_at
 from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
 from ccdtools.studies.names import FORMER, POLICY_ALONE
 from ccdtools.studies.redesign import Redesign, RedesignJudge, described, predicted, same_design
@@ -54,12 +54,7 @@ class LoopStages:
         """First policy: a network trained to imitate an expert."""
         config = self.evaluation.config
         study = self.evaluation.study
-        first = first_policy(
-            self.evaluation.problem, study.p0, rng, expert=study.laws.get(config.expert, config.expert),
-            runs=min(16, config.mpc_runs), network=config.network, cloning=config.cloning, progress=self.progress,
-            samples=config.samples, gamma=config.codesign.ppo.gamma, sets=config.sets,
-            time_limit=config.sets_time_limit,
-        )  # fmt: skip
+        first = imitated_at(self.evaluation.problem, study, config, rng, progress=self.progress)
         data = first.data
         expert = config.expert if callable(first.expert) else first.expert
         values = {"expert": expert, "samples": first.samples}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -125,6 +125,8 @@ class Study(Immutable):
         another one than the model describes, or its steps are too long for it.
     """
 
+    options_taken: ClassVar[tuple[str, ...]] = ()  # of `ccdtools run`; empty: all
+    runs_so: ClassVar[str] = ""  # why it takes no others
     name: str
     title: str
     plant: Plant

@@ -22,6 +22,19 @@ def write_side_by_side(
     study: SideBySide, found: Mapping[str, Stage], trials: Mapping[str, Trial], folder: RunFolder, *, quick: bool
 ) -> tuple[str, Path]:
     """Write gains.csv, side_by_side.png and report.html; return what is printed, and the page's path."""
+    designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
+    designs += [line for stage in found.values() for line in stage.values["report"]]
+    image = style.png(plot_side_by_side(study, found, trials, quick=quick))
+    folder.write_bytes("side_by_side.png", image)
+    tables = trial_tables(trials, folder)
+    shown = "".join(f"<div>{table.html}</div><br>" for table in tables)
+    body = paragraphs(designs) + shown + picture_of(image, "Designs, and changes in every use")
+    page = folder.write_text("report.html", page_of(study.title, body))
+    return "\n\n".join(["\n".join(designs), *map(str, tables)]), page
+
+
+def trial_tables(trials: Mapping[str, Trial], folder: RunFolder) -> list[Table]:
+    """Tables of changes, which become gains.csv, and of metrics."""
     names = list(next(iter(next(iter(trials.values()))[0].values()))[0])
     changes = [
         (use, what, *(percent_interval(one.change.mean, one.change.ci95, one.before) for one in changed))
@@ -34,15 +47,8 @@ def write_side_by_side(
     right = frozenset(range(3, 4 + len(names)))
     tables = [Table(("use", "change, with its 95 % interval, of", *names), changes, right),
               Table(("use", "design", "controller", *names, "lost runs"), values, right)]  # fmt: skip
-    designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
-    designs += [line for stage in found.values() for line in stage.values["report"]]
-    image = style.png(plot_side_by_side(study, found, trials, quick=quick))
-    folder.write_bytes("side_by_side.png", image)
     folder.write_text("gains.csv", csv_text([dict(zip(tables[0].head, line)) for line in changes]))
-    shown = "".join(f"<div>{table.html}</div><br>" for table in tables)
-    body = paragraphs(designs) + shown + picture_of(image, "Designs, and changes in every use")
-    page = folder.write_text("report.html", page_of(study.title, body))
-    return "\n\n".join(["\n".join(designs), *map(str, tables)]), page
+    return tables
 
 
 def plot_side_by_side(

@@ -1,0 +1,186 @@
+"""Comparison at the end of a run on sensors: all that was in service, and laws of the field."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.objective import Objective
+from ccdtools.co_design.output_filter import estimator_at
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.comparison.metrics import Metrics, metric_changes, metrics_of
+from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.controllers.observed import Observed
+from ccdtools.disturbances.combinations import is_recorded
+from ccdtools.evidence.percent import nothing_done
+from ccdtools.exceptions import CCDError
+from ccdtools.scenario import Scenario
+from ccdtools.studies.by_fit import FittedGeneration
+from ccdtools.studies.on_sensors import LQG, OnSensors
+from ccdtools.studies.side_by_side import START
+from ccdtools.studies.side_by_side_run import Place, Trial
+from ccdtools.studies.stage_storage import Stage
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.unknown_plant import stated_plant
+from ccdtools_ground.user_functions import stopped
+from mpc import MPCError
+
+NESTED = "nested LQR"  # a design
+LOG = ("states", "inputs", "disturbances", "diverged_at", "design", "outputs")
+TOLD = ", of the fit"  # ends the name of a law that knows what the log told
+COST = "cost of a sample"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveTrial:
+    """Comparison on one drive, the first output (T,) of a run by who drove it, and what is to be known of them."""
+
+    trial: Trial
+    signals: dict[str, Array]
+    notes: tuple[str, ...]
+
+
+def generation_of(study: OnSensors, kept: Stage) -> FittedGeneration:
+    """Generation of a stage, without its fit."""
+    design, agent = kept.arrays["design"], kept.networks["agent"]
+    log = Trajectory(**{name: kept.arrays[name] for name in LOG}, dt=study.plant.dt)  # type: ignore[arg-type]
+    return FittedGeneration(
+        design, _behind(study, LearnedPolicy(agent, design), kept.arrays["known"]), log, agent=agent
+    )
+
+
+def law_runs(
+    study: OnSensors, scenario: Scenario, designs: Mapping[str, Array], known: Sequence[float] | Array = ()
+) -> dict[Place, Trajectory]:  # fmt: skip
+    """Runs of LQG and the laws of a study at each design, made for what is known and behind its filter.
+
+    The nominal plant is known, or one of unknown entries (m,). A law that cannot be made at a design is left out.
+    """
+    state = replace(_problem(study, known), measurement=None)
+    found = {}
+    for at, p in designs.items():
+        for name, make in {LQG: saturated_lqr, **study.laws}.items():
+            with suppress(MPCError):
+                law = _behind(study, _made(name, make, state, p), known, p)
+                run = scenario.run(law, design=p, limit=study.problem().limit)
+                found[at, f"{name}{TOLD if len(known) else ''}"] = run
+    return found
+
+
+def tried(
+    study: OnSensors, drive: Any, scenario: Scenario, stages: Mapping[str, Stage], driven: dict[Place, Trajectory]
+) -> DriveTrial:  # fmt: skip
+    """What was in service, step by step, and beside every law at its best, on common runs of one drive."""
+    limit = study.problem().limit
+    first, *later = stages
+    last, base = [first, *later][-1], study.expert if study.expert in study.laws else LQG
+    begun = START, base
+    places: dict[str, Place] = {"start": begun, "design": (first, base), "policy": (first, "learned")}
+    before = stages[first]
+    one = generation_of(study, before)
+    driven = {**driven, (first, "learned"): scenario.run(one.controller, design=one.design, limit=limit)}
+    for name in later:
+        stage, by = stages[name], stages[name].values["by"]
+        one = generation_of(study, stage)
+        if by == "redesign":  # the filter that came with it has a step of its own
+            p = before.arrays["design"]
+            former = _behind(study, LearnedPolicy(before.networks["agent"], p), stage.arrays["known"])
+            driven[name, "former policy"] = scenario.run(former, design=p, limit=limit)
+            places[f"{name}: filter of the fit"] = name, "former policy"
+            moved = "policy learned on" if np.array_equal(p, one.design) else "redesign"
+            places[f"{name}: {moved}"] = name, "learned"
+        elif by:
+            places[f"{name}: filter of the fit"] = name, "learned"
+        driven[name, "learned"] = scenario.run(one.controller, design=one.design, limit=limit)
+        before = stage
+    known = before.arrays["known"]
+    if len(known):
+        driven |= law_runs(study, scenario, {last: before.arrays["design"]}, known)
+    metrics = _Measured(study.objective, study.metrics)
+    pairs = dict(zip([*places][1:], pairwise(places.values())))
+    pairs |= {f"all up to {what}": (begun, at) for what, at in [*places.items()][2:]}
+    pairs |= {
+        f"all, for {law[1]} at its best: {law[0]}": (law, (last, "learned")) for law in _at_their_best(study, driven)
+    }
+    changes = {
+        what: metric_changes(metrics, driven[one], driven[two]) if one in driven and two in driven else ()
+        for what, (one, two) in pairs.items()
+    }
+    values = {at: (metrics_of(metrics, run), int(run.diverged.sum())) for at, run in driven.items()}
+    ends = {f"{base} at the start": begun, "in service at the end": (last, "learned")}
+    shown = {who: np.asarray(driven[at].outputs)[0, :, 0] for who, at in ends.items() if at in driven}
+    notes = tuple(_notes(drive, {who: driven[at] for who, at in ends.items() if at in driven}))
+    return DriveTrial((values, changes), shown, notes)
+
+
+def _at_their_best(study: OnSensors, driven: Mapping[Place, Trajectory]) -> Iterator[Place]:
+    """Place of each law that loses least, and of these costs least on the runs that all of them keep."""
+    for law in (LQG, *study.laws):
+        places = [at for at in driven if at[1] in (law, law + TOLD)]
+        fewest = min((int(driven[at].diverged.sum()) for at in places), default=0)
+        best = [at for at in places if int(driven[at].diverged.sum()) == fewest]
+        if best:
+            kept = ~np.any([driven[at].diverged for at in best], axis=0)
+            returns = [float(driven[at].returns(study.objective)[kept].sum()) for at in best]
+            yield best[int(np.argmax(returns))]
+
+
+def _notes(drive: Any, ends: Mapping[str, Trajectory]) -> Iterator[str]:
+    """What is to be known of the runs of a drive."""
+    if is_recorded(drive):
+        yield "It is a recording, which generations may have met: its intervals hold the noise of the sensors alone."
+    for who, run in ends.items():
+        if run.diverged.any():
+            runs = len(run.diverged)
+            yield f"{who} lost {int(run.diverged.sum())} of {runs} runs: changes are of runs that neither of both lost."
+        if not run.inputs.any():
+            yield f"{who} {nothing_done('these drives')}."
+
+
+def _made(name: str, make: Any, problem: CoDesignProblem, p: Array) -> Any:
+    """Law at a design."""
+    try:
+        return make(problem, p)
+    except (CCDError, MPCError):
+        raise
+    except Exception as error:
+        expected = "a function of (problem, design)"
+        raise stopped(f"laws[{name!r}]", make, error, expected, at=f" at the design {p.tolist()}") from error
+
+
+def _behind(study: OnSensors, law: Any, known: Sequence[float] | Array, p: Array | None = None) -> Observed:
+    """Law of the state behind the filter of what is known."""
+    return Observed(law, estimator_at(_problem(study, known), law.design if p is None else p))
+
+
+def _problem(study: OnSensors, known: Sequence[float] | Array) -> CoDesignProblem:
+    """Problem on the nominal plant, or on one of unknown entries (m,)."""
+    if not len(known):
+        return study.sensed
+    assert study.unknown is not None
+    return stated_plant(study.sensed, study.unknown).known(study.sensed, np.asarray(known))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Metrics of a study, after the cost of a sample."""
+
+    objective: Objective
+    metrics: Metrics | None
+
+    def __call__(self, run: Trajectory) -> Mapping[str, float]:
+        """Metrics by name."""
+        cost = {COST: float(-run.returns(self.objective).mean() / run.inputs.shape[1])}
+        return cost | dict({} if self.metrics is None else self.metrics(run)) | cost
+
+    @property
+    def larger_is_better(self) -> Sequence[str]:
+        """Names of such metrics."""
+        return tuple(getattr(self.metrics, "larger_is_better", ()))
