@@ -13,7 +13,8 @@ from torch.optim.adam import adam
 class VectorAdam:
     """Parameters as parts of one vector, which Adam moves at once."""
 
-    def __init__(self, parameters: list[nn.Parameter], rate: float) -> None:
+    def __init__(self, parameters: list[nn.Parameter], rate: float, *, fused: bool = True) -> None:
+        self.fused = fused
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
         self.rate = rate
         self.vector = _joined(self.parameters).detach()
@@ -31,7 +32,7 @@ class VectorAdam:
             for parameter in self.parameters:
                 parameter.data = parameter.data.clone()
 
-    def step(self, gradients: Sequence[Tensor], limit: float) -> float:
+    def step(self, gradients: Sequence[Tensor], limit: float = torch.inf) -> float:
         """Norm of the gradient, after a step by what is left of it within a limit."""
         gradient = _joined(gradients)
         norm = gradient.norm()
@@ -39,7 +40,7 @@ class VectorAdam:
         # the function behind torch.optim.Adam, which loads a compiler when it is made
         mean, square, steps = self.state.values()
         adam(
-            [self.vector], [gradient], [mean], [square], [], [steps], fused=True,
+            [self.vector], [gradient], [mean], [square], [], [steps], foreach=False, fused=self.fused,
             amsgrad=False, beta1=0.9, beta2=0.999, lr=self.rate, weight_decay=0.0, eps=1e-8, maximize=False,
         )  # fmt: skip
         return float(norm)
