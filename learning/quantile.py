@@ -9,7 +9,7 @@ Rüschendorf, "On the distributional transform, Sklar's theorem, and the empiric
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,7 +116,7 @@ class QuantileNetwork(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
-        z = ((self.clipped(inputs) - self.input_offset) / self.input_scale).to(self.positions.dtype)
+        z = self._standard(inputs)
         median: Tensor = self.median_network(z).unsqueeze(-2)
         if self.gap_network is None:
             return (self.output_offset + self.output_scale * median).to(inputs.dtype)
@@ -128,9 +128,26 @@ class QuantileNetwork(nn.Module):
         spread = torch.cat([below, torch.zeros_like(median), above], dim=-2)
         return (self.output_offset + self.output_scale * (median + spread)).to(inputs.dtype)
 
+    def medians(self) -> Callable[[Tensor], Tensor]:
+        """Function to the median (n, m) alone of rows (n, d), for many steps; no slope by the weights."""
+        nothing = torch.zeros_like(self.input_offset, dtype=self.positions.dtype)
+        layers = self.median_network.at(nothing[:0], nothing, torch.ones_like(nothing)).of(Tensor.detach)
+        offset, scale = self.output_offset, self.output_scale
+
+        def median(inputs: Tensor) -> Tensor:
+            """Median of each row."""
+            out = layers(self._standard(inputs), torch.tanh, lambda x, W, b: torch.addmm(b, x, W))
+            return (offset + scale * out).to(inputs.dtype)
+
+        return median
+
     def clipped(self, inputs: Tensor) -> Tensor:
         """Inputs within the range of the training data."""
-        return torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
+        return torch.clamp(inputs, self.input_lower, self.input_upper)
+
+    def _standard(self, inputs: Tensor) -> Tensor:
+        """Clipped inputs in units of their own."""
+        return ((self.clipped(inputs) - self.input_offset) / self.input_scale).to(self.positions.dtype)
 
     def draw(self, quantiles: Tensor, uniform: Tensor) -> Tensor:
         """Joint draws (..., m) among quantiles (..., levels, m), which they are differentiable in.
