@@ -24,6 +24,7 @@ from learning.checks import as_lengths, as_samples, as_sizes, check_instance, ch
 from learning.conformal import Conformal, samples_needed
 from learning.exceptions import InputError
 from learning.networks import FeedForward
+from learning.vector_adam import VectorAdam, falling
 
 Array = NDArray[np.float64]
 
@@ -282,25 +283,21 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
              config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:  # fmt: skip
     """Minimise the pinball loss by Adam; keep the best validated weights."""
     (X, Y), (Xv, Yv) = (list(map(torch.tensor, pair)) for pair in (train, validation))
-    optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay,
-                                  fused=True)  # fmt: skip
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
+    adam = VectorAdam(list(network.parameters()), config.learning_rate, decay=config.weight_decay)
     best = np.inf
     kept = None
-    for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
-        i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
-        loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
-        schedule.step()
-        if len(Xv) and (step % 50 == 0 or step == config.steps):
-            with torch.no_grad():
-                score = (pinball(Yv, network(Xv), config.levels) / network.output_scale).sum().item()
-            if score < best:
-                best = score
-                kept = {name: value.clone() for name, value in network.state_dict().items()}
+    with adam.held():
+        for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
+            i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
+            loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
+            adam.rate = falling(config.learning_rate, step - 1, config.steps)
+            adam.step(torch.autograd.grad(loss, adam.parameters), limit=1.0)
+            if len(Xv) and (step % 50 == 0 or step == config.steps):
+                with torch.no_grad():
+                    score = (pinball(Yv, network(Xv), config.levels) / network.output_scale).sum().item()
+                if score < best:
+                    best = score
+                    kept = {name: value.clone() for name, value in network.state_dict().items()}
     if kept is not None:
         network.load_state_dict(kept)
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
-from torch.optim.adam import adam
+from torch.optim.adamw import adamw
 
 
 class VectorAdam:
-    """Parameters as parts of one vector, which Adam moves at once."""
+    """Parameters as parts of one vector, which Adam moves at once, with a decay of the weights as in AdamW."""
 
-    def __init__(self, parameters: list[nn.Parameter], rate: float, *, fused: bool = True) -> None:
-        self.fused = fused
+    def __init__(
+        self, parameters: list[nn.Parameter], rate: float, *, decay: float = 0.0, fused: bool = True
+    ) -> None:  # fmt: skip
+        self.decay, self.fused = decay, fused
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
         self.rate = rate
         self.vector = _joined(self.parameters).detach()
@@ -37,13 +40,18 @@ class VectorAdam:
         gradient = _joined(gradients)
         norm = gradient.norm()
         gradient *= (limit / (norm + 1e-6)).clamp(max=1.0)
-        # the function behind torch.optim.Adam, which loads a compiler when it is made
+        # the function behind torch.optim.AdamW, which loads a compiler when it is made
         mean, square, steps = self.state.values()
-        adam(
+        adamw(
             [self.vector], [gradient], [mean], [square], [], [steps], foreach=False, fused=self.fused,
-            amsgrad=False, beta1=0.9, beta2=0.999, lr=self.rate, weight_decay=0.0, eps=1e-8, maximize=False,
+            amsgrad=False, beta1=0.9, beta2=0.999, lr=self.rate, weight_decay=self.decay, eps=1e-8, maximize=False,
         )  # fmt: skip
         return float(norm)
+
+
+def falling(rate: float, k: int, steps: int) -> float:
+    """Rate of step k, from 0, which falls to zero along a cosine."""
+    return rate * (1 + math.cos(math.pi * k / steps)) / 2
 
 
 def _joined(parts: Sequence[Tensor]) -> Tensor:

@@ -17,7 +17,7 @@ from learning.checks import as_bounds, check_instance, check_number, spread
 from learning.exceptions import InputError
 from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
 from learning.tolerances import LEAK, ROUNDING
-from learning.vector_adam import VectorAdam
+from learning.vector_adam import VectorAdam, falling
 
 Array = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ def _descend(parameters: list[torch.nn.Parameter], losses: Iterable[torch.Tensor
     adam = VectorAdam(parameters, rate, fused=False)
     with adam.held():
         for k, loss in enumerate(losses):
-            adam.rate = rate * (1 + np.cos(np.pi * k / steps)) / 2
+            adam.rate = falling(rate, k, steps)
             adam.step(torch.autograd.grad(loss, adam.parameters))
 
 
