@@ -137,7 +137,7 @@ class QuantileNetwork(nn.Module):
 
         def median(inputs: Tensor) -> Tensor:
             """Median of each row."""
-            out = layers(self._standard(inputs), torch.tanh, lambda x, W, b: torch.addmm(b, x, W))
+            out: Tensor = layers(self._standard(inputs), torch.tanh, lambda x, W, b: torch.addmm(b, x, W))
             return (offset + scale * out).to(inputs.dtype)
 
         return median

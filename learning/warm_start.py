@@ -105,9 +105,10 @@ def fit_actor_critic(
 
     def loss(i: torch.Tensor) -> torch.Tensor:
         """Mean loss of these samples."""
-        error = (scaled(agent.mean_network(Z[i]), (middle[i], half[i]), leak=LEAK) - U[i]) / half[i]
-        found = agent.value_offset + agent.value_scale * agent.value_network(Z[i]).squeeze(-1)
-        value_error = (found - V[i])[K[i]] / agent.value_scale
+        z, width = Z[i], half[i]
+        error = (scaled(agent.mean_network(z), (middle[i], width), leak=LEAK) - U[i]) / width
+        found = agent.value_offset + agent.value_scale * agent.value_network(z).squeeze(-1)
+        value_error = ((found - V[i]) if known.all() else (found - V[i])[K[i]]) / agent.value_scale
         value_loss = torch.nn.functional.smooth_l1_loss(value_error, torch.zeros_like(value_error), reduction="sum")
         return error.square().sum(-1).mean() + value_loss / len(i)
 

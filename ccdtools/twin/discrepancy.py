@@ -97,7 +97,8 @@ class Discrepancy(Immutable):
             return x.new_zeros(x.shape[:-1])
         quantiles = self.network(self.features(e, x, u, p))
         width = quantiles[..., -1, :] - quantiles[..., 0, :]
-        return ((width @ x.new_tensor(self.weight.tolist())) * width).sum(-1)
+        penalty: Tensor = ((width @ x.new_tensor(self.weight.tolist())) * width).sum(-1)
+        return penalty
 
     def double(self) -> Discrepancy:
         """Discrepancy in double precision."""
