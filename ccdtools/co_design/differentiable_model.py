@@ -340,7 +340,8 @@ def _segment(
     present = torch.cat([before[0][None], visited[:-1]]) if looks_back else visited
     total = total + counted(step.rewards(visited, applied, present)).sum(0)
     if learned:
-        total = total - counted(step.penalties(torch.stack(errors), present, applied)).sum(0)
+        pieces = (values.split(max(1, HELD_SAMPLES // len(x))) for values in (torch.stack(errors), present, applied))
+        total = total - counted(torch.cat([step.penalties(*piece) for piece in zip(*pieces)])).sum(0)
     if not depths:
         return x, e, running, total, depth, peak, outside
     own = counted(step.outside(visited, applied, present))
