@@ -9,7 +9,7 @@ Rüschendorf, "On the distributional transform, Sklar's theorem, and the empiric
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from learning.checks import as_lengths, as_samples, as_sizes, check_instance, ch
 from learning.conformal import Conformal, samples_needed
 from learning.exceptions import InputError
 from learning.networks import FeedForward
+from learning.vector_adam import VectorAdam, falling
 
 Array = NDArray[np.float64]
 
@@ -116,7 +117,7 @@ class QuantileNetwork(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
-        z = ((self.clipped(inputs) - self.input_offset) / self.input_scale).to(self.positions.dtype)
+        z = self._standard(inputs)
         median: Tensor = self.median_network(z).unsqueeze(-2)
         if self.gap_network is None:
             return (self.output_offset + self.output_scale * median).to(inputs.dtype)
@@ -128,9 +129,26 @@ class QuantileNetwork(nn.Module):
         spread = torch.cat([below, torch.zeros_like(median), above], dim=-2)
         return (self.output_offset + self.output_scale * (median + spread)).to(inputs.dtype)
 
+    def medians(self) -> Callable[[Tensor], Tensor]:
+        """Function to the median (n, m) alone of rows (n, d), for many steps; no slope by the weights."""
+        nothing = torch.zeros_like(self.input_offset, dtype=self.positions.dtype)
+        layers = self.median_network.at(nothing[:0], nothing, torch.ones_like(nothing)).of(Tensor.detach)
+        offset, scale = self.output_offset, self.output_scale
+
+        def median(inputs: Tensor) -> Tensor:
+            """Median of each row."""
+            out: Tensor = layers(self._standard(inputs), torch.tanh, lambda x, W, b: torch.addmm(b, x, W))
+            return (offset + scale * out).to(inputs.dtype)
+
+        return median
+
     def clipped(self, inputs: Tensor) -> Tensor:
         """Inputs within the range of the training data."""
-        return torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
+        return torch.clamp(inputs, self.input_lower, self.input_upper)
+
+    def _standard(self, inputs: Tensor) -> Tensor:
+        """Clipped inputs in units of their own."""
+        return ((self.clipped(inputs) - self.input_offset) / self.input_scale).to(self.positions.dtype)
 
     def draw(self, quantiles: Tensor, uniform: Tensor) -> Tensor:
         """Joint draws (..., m) among quantiles (..., levels, m), which they are differentiable in.
@@ -265,25 +283,21 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
              config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:  # fmt: skip
     """Minimise the pinball loss by Adam; keep the best validated weights."""
     (X, Y), (Xv, Yv) = (list(map(torch.tensor, pair)) for pair in (train, validation))
-    optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay,
-                                  fused=True)  # fmt: skip
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
+    adam = VectorAdam(list(network.parameters()), config.learning_rate, decay=config.weight_decay)
     best = np.inf
     kept = None
-    for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
-        i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
-        loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
-        schedule.step()
-        if len(Xv) and (step % 50 == 0 or step == config.steps):
-            with torch.no_grad():
-                score = (pinball(Yv, network(Xv), config.levels) / network.output_scale).sum().item()
-            if score < best:
-                best = score
-                kept = {name: value.clone() for name, value in network.state_dict().items()}
+    with adam.held():
+        for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
+            i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
+            loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
+            adam.rate = falling(config.learning_rate, step - 1, config.steps)
+            adam.step(torch.autograd.grad(loss, adam.parameters), limit=1.0)
+            if len(Xv) and (step % 50 == 0 or step == config.steps):
+                with torch.no_grad():
+                    score = (pinball(Yv, network(Xv), config.levels) / network.output_scale).sum().item()
+                if score < best:
+                    best = score
+                    kept = {name: value.clone() for name, value in network.state_dict().items()}
     if kept is not None:
         network.load_state_dict(kept)
 

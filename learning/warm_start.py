@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from learning.checks import as_bounds, check_instance, check_number, spread
 from learning.exceptions import InputError
 from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
 from learning.tolerances import LEAK, ROUNDING
+from learning.vector_adam import VectorAdam, falling
 
 Array = NDArray[np.float64]
 
@@ -99,19 +101,23 @@ def fit_actor_critic(
     X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
     K = torch.tensor(known)
     middle, half = (part.expand_as(U) for part in agent.action_range(X))
-    parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]
-    optimiser = torch.optim.Adam(parameters, lr=config.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
-    for _ in trange(config.steps, desc="cloning", disable=not progress, leave=False):
-        i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
-        error = (scaled(agent.latent(X[i]), (middle[i], half[i]), leak=LEAK) - U[i]) / half[i]
-        value_error = (agent.value(X[i]) - V[i])[K[i]] / agent.value_scale
+    Z = agent.normalise(X)
+
+    def loss(i: torch.Tensor) -> torch.Tensor:
+        """Mean loss of these samples."""
+        z, width = Z[i], half[i]
+        error = (scaled(agent.mean_network(z), (middle[i], width), leak=LEAK) - U[i]) / width
+        found = agent.value_offset + agent.value_scale * agent.value_network(z).squeeze(-1)
+        value_error = ((found - V[i]) if known.all() else (found - V[i])[K[i]]) / agent.value_scale
         value_loss = torch.nn.functional.smooth_l1_loss(value_error, torch.zeros_like(value_error), reduction="sum")
-        loss = error.square().sum(-1).mean() + value_loss / len(i)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
+        return error.square().sum(-1).mean() + value_loss / len(i)
+
+    drawn = (
+        torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
+        for _ in trange(config.steps, desc="cloning", disable=not progress, leave=False)
+    )
+    parameters = [*agent.mean_network.parameters(), *agent.value_network.parameters()]
+    _descend(parameters, (loss(i) for i in drawn), config.learning_rate, config.steps)
     return agent
 
 
@@ -132,17 +138,26 @@ def fit_further(
     """
     X, U = (torch.as_tensor(a, dtype=torch.float32) for a in (inputs, actions))
     agent = copy.deepcopy(agent)
-    optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     middle, half = (part.expand_as(U) for part in agent.action_range(X))
-    for _ in range(steps):
-        i = torch.from_numpy(rng.integers(0, len(X), min(batch, len(X))))
-        error = (scaled(agent.latent(X[i]), (middle[i], half[i]), leak=LEAK) - U[i]) / half[i]
-        optimiser.zero_grad()
-        error.square().sum(-1).mean().backward()
-        optimiser.step()
-        schedule.step()
+    Z = agent.normalise(X)
+
+    def loss(i: torch.Tensor) -> torch.Tensor:
+        """Mean loss of these samples."""
+        error = (scaled(agent.mean_network(Z[i]), (middle[i], half[i]), leak=LEAK) - U[i]) / half[i]
+        return error.square().sum(-1).mean()
+
+    drawn = (torch.from_numpy(rng.integers(0, len(X), min(batch, len(X)))) for _ in range(steps))
+    _descend([*agent.mean_network.parameters()], (loss(i) for i in drawn), rate, steps)
     return agent
+
+
+def _descend(parameters: list[torch.nn.Parameter], losses: Iterable[torch.Tensor], rate: float, steps: int) -> None:
+    """Adam on losses, each asked for after the step before, at a rate that falls to zero along a cosine."""
+    adam = VectorAdam(parameters, rate, fused=False)
+    with adam.held():
+        for k, loss in enumerate(losses):
+            adam.rate = falling(rate, k, steps)
+            adam.step(torch.autograd.grad(loss, adam.parameters))
 
 
 def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[Array, Array, Array]:

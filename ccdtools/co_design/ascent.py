@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -158,8 +159,6 @@ class Ascent:
             decay_exploration(agent, 1.0, config.ppo.final_std or LITTLE_EXPLORATION, 1.0)
         self.first_std = first_exploration(agent, config.ppo) if task.ppo else agent.log_std.exp().mean().item()
         self.ppo = PPO(agent, config.ppo, given=problem.design.dim)
-        self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
-        self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
         self.samples = 0  # steps of the model and of the environment so far
         self.iterations = 0
         self.blocks = 0
@@ -174,6 +173,16 @@ class Ascent:
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
         self.slope = Slope.none(len(self.v))
         self.status: CoDesignStatus | None = None  # once it has settled or spent its budget
+
+    @cached_property
+    def design_optimiser(self) -> torch.optim.Optimizer:
+        """Adam of the design; PyTorch loads a compiler with the first one, which a climb needs none of."""
+        return torch.optim.Adam([self.v], lr=self.task.config.design_rate or 1.0, betas=(0.8, 0.9))
+
+    @cached_property
+    def policy_optimiser(self) -> torch.optim.Optimizer:
+        """Adam of the policy."""
+        return torch.optim.Adam(self.agent.mean_network.parameters(), lr=self.task.config.policy_rate or 1.0)
 
     def _see(self, scenarios: ScenarioTensors) -> None:
         """Normalise by the states that the policy visits; what it does stays.

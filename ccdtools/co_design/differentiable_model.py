@@ -93,6 +93,7 @@ class Stepper:
     p: Tensor
     limit: Tensor  # (nx,): divergence limit on |x|
     carry: Tensor | None = None  # (nx, nx): of a learned error, from the design of its log to this one
+    errors: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor] | None = None  # (e, x, u, w) → e⁺, where it is learned
 
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
@@ -108,15 +109,17 @@ class Stepper:
     @classmethod
     def _of(cls, problem: CoDesignProblem, p: Tensor, at: tuple[Tensor, Tensor, Tensor]) -> Stepper:
         """Model of a problem with matrices at `p`."""
-        transport = None if problem.discrepancy is None else problem.discrepancy.transport
+        learned = problem.discrepancy
+        transport = None if learned is None else learned.transport
         carry = None if transport is None else transport.matrix(at[2])
-        return cls(problem, *at, p, p.new_tensor(problem.limit.tolist()), carry)
+        errors = None if learned is None else learned.errors(p)
+        return cls(problem, *at, p, p.new_tensor(problem.limit.tolist()), carry, errors)
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Next states (n, nx), errors (n, nx) and rewards (n,)."""
-        x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
+        x_next, e_next = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
         x_next = self.numbers(x_next)
-        return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
+        return x_next, e_next, self.rewards(x_next[None], u[None], x[None])[0] - self.penalties(e, x, u)
 
     def drive(self, w: Tensor) -> Tensor:
         """Effect (n, T, nx) of disturbances (n, T, nw) on a linear model.
@@ -126,20 +129,23 @@ class Stepper:
         plain = self.problem.discrepancy is not None or not isinstance(self.problem.model, LinearModel)
         return w if plain else _times(self.E, w)
 
-    def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Next states and errors (n, nx), and any penalty (n,)."""
-        discrepancy, model = self.problem.discrepancy, self.problem.model
-        penalty: tuple[Tensor, ...] = ()
-        if discrepancy is not None:
-            e, paid = discrepancy.advance(e, x, u, self.p, drive)
-            penalty = (paid,)
+    def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor]:
+        """Next states and errors (n, nx)."""
+        model = self.problem.model
+        if self.errors is not None:
+            e = self.errors(e, x, u, drive)
             error = e[..., : x.shape[-1]]  # the rest is what draws remember
             drive = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
         if isinstance(model, LinearModel):
-            return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, penalty
-        if discrepancy is None:
-            return model.pathwise(x, u, drive, self.p), e, penalty
-        return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + drive, e, penalty
+            return _plus_times(_plus_times(drive, self.A, x), self.B, u), e
+        if self.errors is None:
+            return model.pathwise(x, u, drive, self.p), e
+        return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + drive, e
+
+    def penalties(self, e: Tensor, x: Tensor, u: Tensor) -> Any:
+        """Penalties (..., n) of a learned error, given present errors and states (..., n, nx) and inputs; else 0."""
+        discrepancy = self.problem.discrepancy
+        return 0.0 if discrepancy is None else discrepancy.penalty(e, x, u, self.p)
 
     def rewards(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
         """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu), present states."""
@@ -302,12 +308,12 @@ def _segment(
     drive = step.drive(w)
     states: list[Tensor] = []
     inputs: list[Tensor] = []
-    penalties: list[Tensor] = []
+    errors: list[Tensor] = []
     going: list[Tensor] = []
     for k in range(w.shape[1]):
         u = law(x)
         try:
-            x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+            x_next, e_next = step.advance(x, e, u, drive[:, k])
         except InputError as error:
             raise at_step(first + k, error) from error
         if guarded:
@@ -315,11 +321,11 @@ def _segment(
             e_next = torch.where(running[:, None], e_next, e)
             going.append(running)
             running = running & ~step.left(x_next.detach())
+        errors.append(e)
         x = x_next
         e = e_next
         states.append(x)
         inputs.append(u)
-        penalties.extend(penalty)
     visited = torch.stack(states)
     if not guarded and bool(step.left(visited.detach()).any()):
         return _segment(step, law, w, first, depths, *before, expected=False)
@@ -329,11 +335,13 @@ def _segment(
         return (torch.where(torch.stack(going), values, 0.0) if guarded else values).double()
 
     applied = torch.stack(inputs)
-    looks_back = step.problem.objective.looks_back or step.problem.output_limits is not None
+    learned = step.problem.discrepancy is not None
+    looks_back = learned or step.problem.objective.looks_back or step.problem.output_limits is not None
     present = torch.cat([before[0][None], visited[:-1]]) if looks_back else visited
     total = total + counted(step.rewards(visited, applied, present)).sum(0)
-    if penalties:
-        total = total - counted(torch.stack(penalties)).sum(0)
+    if learned:
+        pieces = (values.split(max(1, HELD_SAMPLES // len(x))) for values in (torch.stack(errors), present, applied))
+        total = total - counted(torch.cat([step.penalties(*piece) for piece in zip(*pieces)])).sum(0)
     if not depths:
         return x, e, running, total, depth, peak, outside
     own = counted(step.outside(visited, applied, present))

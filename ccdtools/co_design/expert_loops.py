@@ -80,7 +80,8 @@ def _stepped(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array
         nonlocal e
         running = np.isfinite(x).all(axis=1, keepdims=True)
         state, applied = (torch.tensor(np.where(running, a, 0.0), dtype=torch.float32) for a in (x, u))
-        x_next, e, (penalty,) = stepper.advance(state, e, applied, torch.tensor(w, dtype=torch.float32))
+        penalty = stepper.penalties(e, state, applied)
+        x_next, e = stepper.advance(state, e, applied, torch.tensor(w, dtype=torch.float32))
         return np.where(running, x_next.double().numpy(), np.nan), penalty.double().numpy()
 
     return updated

@@ -76,7 +76,7 @@ class Retuned:
 
         def inputs(x: Tensor) -> Tensor:
             """Inputs (n, nu)."""
-            latent = gain * self._latent(x) + offset + (law @ x[:, self._hidden :, None])[:, :, 0]
+            latent = gain * self._latent(x) + offset + (x[:, None, self._hidden :] @ law.mT)[:, 0]
             return scaled(latent, self._range)
 
         return simulated(self._stepper, inputs, self.scenarios, depths=depths)

@@ -231,7 +231,7 @@ class CoDesignProblem(Immutable):
         """Raise an `InputError` unless `discrepancy` models this model's error."""
         if self.discrepancy is None:
             return
-        has_method("discrepancy", self.discrepancy, "advance", "a Discrepancy or None")
+        has_method("discrepancy", self.discrepancy, "penalty", "a Discrepancy or None")
         size = np.shape(self.discrepancy.weight)
         if size != (self.model.nx, self.model.nx):
             raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")

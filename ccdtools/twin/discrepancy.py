@@ -75,25 +75,30 @@ class Discrepancy(Immutable):
             median = self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :]
             return np.asarray(median.double().numpy())
 
-    def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-        """Error e⁺ (n, nx) and width penalty (n,).
+    def errors(self, p: Tensor) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
+        """Steps (e, x, u, w) → e⁺ (n, nx) at a design (np,), or at one for each run (n, np).
 
-        Parameters
-        ----------
-        e : (n, nx) tensor
-            What the last step returned; zeros, or an error that was measured, at the first one.
-        x, u, p : (n, nx), (n, nu) and (np,) tensors
-        w : (n, nx) tensor
-            Draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
+        The first e is zero, or an error that was measured. The noise w (n, nx) is uniform in [0, 1], or innovations, as
+        `noise` says; it is not used for "none".
         """
-        quantiles = self.network(self.features(e, x, u, p))
-        median = quantiles[..., len(self.network.levels) // 2, :]
-        width = quantiles[..., -1, :] - quantiles[..., 0, :]
-        weight = x.new_tensor(self.weight.tolist())
-        penalty = ((width @ weight) * width).sum(-1)
         if self.noise == "quantiles":
-            return self.network.draw(quantiles, w), penalty
-        return (median + w if self.noise == "replayed" else median), penalty
+            return lambda e, x, u, w: self.network.draw(self.network(self.features(e, x, u, p)), w)
+        median = self.network.medians()
+        if self.noise == "none":
+            return lambda e, x, u, w: median(self.features(e, x, u, p))
+        return lambda e, x, u, w: median(self.features(e, x, u, p)) + w
+
+    def penalty(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor) -> Tensor:
+        """Width penalty (...,) at present errors and states (..., nx) and inputs (..., nu).
+
+        No step depends on it, so that those of all steps are found at once.
+        """
+        if not self.weight.any():
+            return x.new_zeros(x.shape[:-1])
+        quantiles = self.network(self.features(e, x, u, p))
+        width = quantiles[..., -1, :] - quantiles[..., 0, :]
+        penalty: Tensor = ((width @ x.new_tensor(self.weight.tolist())) * width).sum(-1)
+        return penalty
 
     def double(self) -> Discrepancy:
         """Discrepancy in double precision."""
@@ -142,7 +147,7 @@ class TwinPlant(Immutable, PlantOfModel):
         undisturbed = self.model.undisturbed(p)
         transport = self.discrepancy.transport
         carry = np.eye(self.nx) if transport is None else transport.matrix(self.model.matrices(p)[2])
-        design = torch.tensor(p, dtype=torch.float32)
+        errors = self.discrepancy.errors(torch.tensor(p, dtype=torch.float32))
         e = np.zeros((batch, self.nx)) if self.error is None else self.error  # at the log's design
 
         def step(x: Array, u: Array, w: Array) -> Array:
@@ -150,7 +155,7 @@ class TwinPlant(Immutable, PlantOfModel):
             nonlocal e
             before, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (e, x, u, w))
             with torch.no_grad():
-                e = self.discrepancy.advance(before, state, applied, design, drawn)[0].double().numpy()
+                e = errors(before, state, applied, drawn).double().numpy()
             return undisturbed(x, u) + e @ carry.T
 
         return step

@@ -1,5 +1,8 @@
 """Behaviour cloning."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -120,3 +123,18 @@ def test_a_feature_is_constant_that_varies_by_less_than_a_billionth(width, scale
     agent = fit_actor_critic(x, 0 * x, x[:, 0], action_bounds=([-1.0], [1.0]), rng=np.random.default_rng(0),
                              config=CloningConfig(steps=1))  # fmt: skip
     assert agent.observation_scale.item() == pytest.approx(scale, rel=1e-3)
+
+
+def test_fits_load_no_compiler():
+    """An optimiser of PyTorch loads one where it is made, which takes longer than many a fit."""
+    code = """
+import sys, numpy as np
+from learning import CloningConfig, QuantileConfig, fit_actor_critic, fit_quantiles
+x, rng = np.random.default_rng(0).uniform(-1, 1, (60, 2)), np.random.default_rng(1)
+few = CloningConfig(steps=2)
+fit_actor_critic(x, x[:, :1], x[:, 0], action_bounds=([-1], [1]), rng=rng, config=few)
+fit_quantiles(x, x, rng=rng, config=QuantileConfig(steps=2))
+print([name for name in sys.modules if name.startswith("torch._dynamo")])
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout == "[]\n"

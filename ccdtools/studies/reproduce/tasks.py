@@ -239,12 +239,20 @@ class Task:
         return found
 
     def _laws(self, laws: dict[str, tuple[Any, ActorCritic, Array, str]]) -> Stage:
-        """Values of policies in places: at their own designs (ours), and at the paper's (policy)."""
+        """Values of policies in places: at their own designs (ours), and at the paper's (policy).
+
+        What no update or redesign has changed is run once.
+        """
         arrays, texts = {}, {}
+        known: dict[Any, dict[str, Array]] = {}
         for key, (seen, agent, design, tag) in laws.items():
             at_paper = paper_designs(self.study)[tag.removesuffix("-updated")]
+            weights = b"".join(part.numpy().tobytes() for part in agent.state_dict().values())
             for kind, p in (("ours", design), ("policy", at_paper)):
-                for name, values in seen(LearnedPolicy(agent, p), p).items():
+                law = seen, weights, p.tobytes()
+                if law not in known:
+                    known[law] = seen(LearnedPolicy(agent, p), p)
+                for name, values in known[law].items():
                     row = f"nominal-{key}" if name == "nominal" else f"{name}-{tag}"
                     arrays[f"{row}.{kind}"] = values
                     texts[f"{row}.{kind}"] = p.tolist()

@@ -101,3 +101,14 @@ def test_the_split_is_in_time_whatever_the_generator(monkeypatch):
     for train, validation in seen:
         np.testing.assert_array_equal(train[:, 0], [*range(38), *range(60, 86)])
         np.testing.assert_array_equal(validation[:, 0], [*range(38, 48), *range(86, 92)])
+
+
+def test_the_median_alone_is_that_of_the_quantiles():
+    network = QuantileNetwork(3, 2, (0.1, 0.5, 0.9), (8, 8), seed=1)
+    network.input_offset.fill_(0.3)
+    network.input_lower.fill_(-1.0)
+    network.output_scale.fill_(0.2)
+    x = (2 * torch.randn(50, 3)).requires_grad_()
+    alone, among = network.medians()(x), network(x)[:, 1]
+    torch.testing.assert_close(alone, among)
+    torch.testing.assert_close(*(torch.autograd.grad(found.square().sum(), x)[0] for found in (alone, among)))

@@ -7,7 +7,15 @@ import pytest
 import torch
 
 from ccdtools import LearnedPolicy, QuadraticObjective, simulate
-from ccdtools.co_design.differentiable_model import Stepper, episode, matrices, observe, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import (
+    Stepper,
+    episode,
+    matrices,
+    mean_law,
+    observe,
+    scenario_tensors,
+    to_design,
+)
 from ccdtools.twin.discrepancy import Discrepancy
 from learning.quantile import QuantileNetwork
 
@@ -129,3 +137,19 @@ def test_scenarios_carry_what_the_noise_asks_for(illustrative, noise):
     if noise == "quantiles":
         assert 0 <= w.min() < 0.01
         assert 0.99 < w.max() <= 1
+
+
+@pytest.mark.parametrize("held", [1, 20, 1000])
+def test_penalties_of_an_episode_are_those_of_its_steps(illustrative, clone, monkeypatch, held):
+    """Found for many steps at once, or for few, where there are many runs."""
+    monkeypatch.setattr("ccdtools.co_design.differentiable_model.HELD_SAMPLES", held)
+    problem = replace(illustrative.problem(), discrepancy=Discrepancy(learned(2, 1), 3.0 * np.eye(2)), steps=7)
+    agent, p = clone(illustrative), torch.tensor([2.0])
+    x0, w = scenario_tensors(problem, 5, np.random.default_rng(0))
+    step, law = Stepper.at(problem, p), mean_law(agent, p)
+    with torch.no_grad():
+        x, e, total = x0, torch.zeros_like(x0), torch.zeros(5)
+        for k in range(7):
+            x, e, reward = step(x, e, law(x), w[:, k])
+            total = total + reward
+        torch.testing.assert_close(episode(problem, agent, p, (x0, w)).total.float(), total)

@@ -1,16 +1,22 @@
 """Pieces of `ccdtools reproduce`: optima, floors and verdicts."""
 
+import copy
+
 import numpy as np
 import pytest
 
 from ccdtools.co_design.objective import Weights
 from ccdtools.studies import load_study
+from ccdtools.studies.reproduce.budget import Budget
 from ccdtools.studies.reproduce.dynamic_program import optimal_return, viable
 from ccdtools.studies.reproduce.lines import Line, lines_of
 from ccdtools.studies.reproduce.paper_figures import PAPER
 from ccdtools.studies.reproduce.places import best_of, floors, steady
 from ccdtools.studies.reproduce.rows import Cell, Found, apart, said_of, verdict
+from ccdtools.studies.reproduce.tasks import Task
+from ccdtools.studies.run_folder import RunFolder
 from ccdtools.trajectory import Trajectory
+from learning.networks import ActorCritic
 
 A = np.array([[0.8, 0.5], [0.5, 0.6]])
 B = np.array([[0.5], [1.0]])
@@ -168,3 +174,20 @@ def test_a_row_of_generation_2_stands_beside_that_of_generation_1():
             assert ("generation 2" in line.says) == bool(line.former)
             if line.former:
                 assert lines[line.former].says == line.says.replace("generation 2", "generation 1")
+
+
+def test_a_law_that_nothing_has_changed_is_run_once(tmp_path):
+    """Neither an update that was refused nor a redesign that stays away makes another policy."""
+    task = Task(RunFolder(tmp_path), Budget(), "illustrative", "loop")
+    agent = ActorCritic([-9] * 3, [9] * 3, [-1], [1], seed=0)
+    asked = []
+
+    def seen(law, p):
+        asked.append(p)
+        return {"place": np.array([float(p[0])])}
+
+    p = np.array([2.0])
+    found = task._laws({tag: (seen, copy.deepcopy(agent), p, tag) for tag in ("1", "1-updated")})
+    assert len(asked) == 2  # at its own design and at the paper's
+    assert found.arrays["place-1.ours"] == found.arrays["place-1-updated.ours"] == 2.0
+    assert found.arrays["place-1.policy"] == found.arrays["place-1-updated.policy"] != 2.0

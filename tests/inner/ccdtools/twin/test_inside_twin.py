@@ -116,7 +116,7 @@ def test_draws_run_through_the_quantiles_and_straight_beyond_them():
         q = d.network(d.features(e, x, u, p))
 
         def draw(level):
-            return d.advance(e, x, u, p, torch.full((4, 2), level))[0]
+            return d.errors(p)(e, x, u, torch.full((4, 2), level))
 
         for level, k in ((0.3, 0), (0.5, 1)):
             torch.testing.assert_close(draw(level), q[:, k])
@@ -128,8 +128,9 @@ def test_draws_run_through_the_quantiles_and_straight_beyond_them():
 def test_noise_adds_nothing_or_what_was_given():
     e, x, u, p, w = torch.randn(4, 2), torch.randn(4, 2), torch.randn(4, 1), torch.tensor([1.0]), torch.randn(4, 2)
     with torch.no_grad():
-        silent, penalty = Discrepancy(network(), np.eye(2)).advance(e, x, u, p, w)
-        replayed, _ = Discrepancy(network(), np.eye(2), noise="replayed").advance(e, x, u, p, w)
+        d = Discrepancy(network(), np.eye(2))
+        silent, penalty = d.errors(p)(e, x, u, w), d.penalty(e, x, u, p)
+        replayed = Discrepancy(network(), np.eye(2), noise="replayed").errors(p)(e, x, u, w)
     torch.testing.assert_close(replayed, silent + w)
     assert (penalty > 0).all()
 
