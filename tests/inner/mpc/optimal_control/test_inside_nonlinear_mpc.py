@@ -11,6 +11,7 @@ from mpc import Status
 from mpc.optimal_control import NonlinearMPC, Phase
 from mpc.optimal_control.ipopt import once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.paths import contracted
 from mpc.optimal_control.planning import until_most_agree
 from mpc.optimal_control.solving import as_settings
@@ -114,3 +115,13 @@ def test_where_a_plan_cannot_be_followed_ipopt_is_asked_once(kick, status, monke
     plan = law.last_plans[0]
     assert (plan.status, plan.solver, len(asked)) == (status, "Ipopt", 1)
     assert plan.states[1, 0] == pytest.approx(max(kick - 0.1, 1.0), rel=1e-4)
+
+
+def test_a_start_whose_programs_lead_to_an_optimum_is_not_solved_again(monkeypatch):
+    near, begun = LoopPlanner.near, []
+    monkeypatch.setattr(LoopPlanner, "near", lambda *given: begun.append(given) or near(*given))
+    law = NonlinearMPC(lambda x, u: x + 0.1 * (ca.sin(x) + u), 1, 1, Q=[1], R=[0.01], horizon=20, U=(-2, 2))
+    plan = law.solve([1.5])
+    assert plan.status is Status.SOLVED
+    assert len(begun) == 1  # from the straight way, which agrees with the linear law's
+    assert law.solve(plan.states[2], start=plan).status is Status.SOLVED
