@@ -178,19 +178,16 @@ class LoopPlanner:
         program = self._sample(x, given)
         run = Run(program, self._settings)
         tried: list[_Tried] = []
-        softened = before is not None and before.status is Status.SOFTENED  # from all starts, a sample ago
         if before is not None:
             v = self._unknowns(program, before.states, before.inputs, given)
-            tried.append(self._solved(run, program, v, PRICE, warm=True))
-        if not tried or tried[0].status not in RANKS[: 1 + softened]:
+            tried.append(self._solved(run, program, v, PRICE**2))
+        if not tried or tried[0].status in RANKS[2:]:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
-            tried += self._from_starts(run, program, guesses, 0.0, clock)
-            if not clock.late and all(one.status is not Status.SOLVED for one in tried):
-                tried += self._from_starts(run, program, guesses, PRICE, clock)
+            tried += self._from_starts(run, program, guesses, clock)
+            least = min(tried, key=lambda one: one.rank)
+            if least.status is not Status.SOLVED and not clock.late:
+                tried.append(self._solved(run, program, least.found.v, PRICE**2))
         best = min(tried, key=lambda one: one.rank)
-        if best.violation > KKT and best.status in RANKS[:2] and not clock.late:  # the price may be too low
-            dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
-            best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
         if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
@@ -221,15 +218,13 @@ class LoopPlanner:
         t = given["t"] + k * self.loop.dt
         return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
 
-    def _from_starts(
-        self, run: Run, program: Any, guesses: list[Array], price: float, clock: Clock
-    ) -> Iterator[_Tried]:
-        """Results from unknowns, as long as there is time."""
+    def _from_starts(self, run: Run, program: Any, guesses: list[Array], clock: Clock) -> Iterator[_Tried]:
+        """Results from unknowns with hard limits, as long as there is time."""
         own = (v for i, v in enumerate(guesses) if not (i and clock.late))
-        tried = (self._solved(run, program, v, price, warm=False) for v in own)
+        tried = (self._solved(run, program, v, 0.0) for v in own)
         return until_most_agree(tried, len(guesses))
 
-    def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
+    def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float) -> _Tried:
         """Result from unknowns, with limits of states at a price.
 
         The price is in sizes of cost and rows; at 0 they are hard.
@@ -241,7 +236,7 @@ class LoopPlanner:
         lower[prices] = upper[prices] = price * sized.cost_scale / sized.row_scale[rows]
         upper[own], scale[own] = np.inf if price else 0.0, sized.row_scale[rows] / PRICE
         run.program = replace(sized, lower=lower, upper=upper, scale=scale)
-        found = run.solved(np.clip(v, lower, upper), None, warm=warm, as_sized=True)
+        found = run.solved(np.clip(v, lower, upper), None, warm=False)
         return _Tried(found, *self._worth(run.program, found.v))
 
     def _worth(self, program: NonlinearProgram, v: Array) -> tuple[float, float]:

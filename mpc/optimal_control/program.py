@@ -191,12 +191,13 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
                 sizes[coordinate == i] = largest
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
-    loose = np.setdiff1d(np.arange(len(v)), np.concatenate([np.arange(p.first, p.last) for p in program.parts]))
+    places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
+    own = np.concatenate([np.arange(part.first, part.last) for part in program.parts])
+    loose = np.setdiff1d(np.arange(len(v))[places], own)
     loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
     large = np.abs(v[loose])
     scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
-    places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
     size = float(np.abs(slope * scale * (program.lower < program.upper))[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
     return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))

@@ -158,8 +158,10 @@ class QuadraticPlanner:
         if at.solved and enough:
             return self._plan(sample, at)
         plans = [] if at.last is None else [self._plan(sample, at)]
-        tried = (self._plan(sample, one) for one in self._from_starts(sample) if one.last is not None)
-        plans += until_most_agree(tried, self.starts)
+        # a first path is the linear law's, which Ipopt need not solve again
+        known = list(plans) if not follow and at.solved and at.last and at.last.strict else []
+        tried = (self._plan(sample, one) for one in self._from_starts(sample, len(known)) if one.last is not None)
+        plans += until_most_agree(chain(known, tried), self.starts)
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
         return self._plan(sample, first, Status.REPLACED) if best is None else best
@@ -197,10 +199,10 @@ class QuadraticPlanner:
         stated = partial(self.stages.at, sample.x, given=sample.given)
         return programs(at, stated, sample.clock, dear=sample.dear)
 
-    def _from_starts(self, sample: _Sample) -> Iterator[Path]:
-        """Paths that Ipopt comes to from the starts; one where a plan leads to it."""
+    def _from_starts(self, sample: _Sample, known: int) -> Iterator[Path]:
+        """Paths that Ipopt comes to from the starts after those known; one where a plan leads to it."""
         general = self._general(self.law.soft or (sample.dear, sample.dear))
-        for path in self._starting_paths(sample):
+        for path in islice(self._starting_paths(sample), known, None):
             if sample.clock.up:
                 return
             more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)

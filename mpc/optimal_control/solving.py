@@ -183,10 +183,9 @@ class Run:
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
-    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool, *,
-               as_sized: bool = False) -> Found:  # fmt: skip
+    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where the first sizes were off."""
-        if warm and not as_sized:
+        if warm:
             self.program = rescaled(self.program, guess)
         kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(3):

@@ -1,5 +1,6 @@
 """What test_nonlinear_mpc.py claims, seen from inside."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -8,8 +9,9 @@ import pytest
 
 from mpc import Status
 from mpc.optimal_control import NonlinearMPC, Phase
-from mpc.optimal_control.ipopt import solver_of
+from mpc.optimal_control.ipopt import once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.paths import contracted
 from mpc.optimal_control.planning import until_most_agree
 from mpc.optimal_control.solving import as_settings
@@ -97,3 +99,29 @@ def test_ipopt_gets_no_rows_without_a_bound():
     assert free.sum() >= 4  # of the signal
     assert solver.size1_out("g") == len(free) - free.sum()
     assert len(NonlinearMPC(phase).solve([1.0]).inputs) == 4
+
+
+@pytest.mark.parametrize(("kick", "status"), [(1.35, Status.SOFTENED), (0.9, Status.SOLVED)])
+def test_where_a_plan_cannot_be_followed_ipopt_is_asked_once(kick, status, monkeypatch):
+    phase = Phase(
+        lambda x, u: x + 0.1 * u, 1, 1, discrete=True, duration=12, u_bounds=(-1, 1),
+        stage_cost=lambda x, u: (x - 2) ** 2 + 0.1 * u**2, path=lambda x: x - 1,
+    )  # fmt: skip
+    law, asked = NonlinearMPC(phase), []
+    law([0.5])
+    law._last[0] = replace(law._last[0], costates=None)
+    monkeypatch.setattr("mpc.optimal_control.solving.once", lambda *given: asked.append(given) or once(*given))
+    law([kick])
+    plan = law.last_plans[0]
+    assert (plan.status, plan.solver, len(asked)) == (status, "Ipopt", 1)
+    assert plan.states[1, 0] == pytest.approx(max(kick - 0.1, 1.0), rel=1e-4)
+
+
+def test_a_start_whose_programs_lead_to_an_optimum_is_not_solved_again(monkeypatch):
+    near, begun = LoopPlanner.near, []
+    monkeypatch.setattr(LoopPlanner, "near", lambda *given: begun.append(given) or near(*given))
+    law = NonlinearMPC(lambda x, u: x + 0.1 * (ca.sin(x) + u), 1, 1, Q=[1], R=[0.01], horizon=20, U=(-2, 2))
+    plan = law.solve([1.5])
+    assert plan.status is Status.SOLVED
+    assert len(begun) == 1  # from the straight way, which agrees with the linear law's
+    assert law.solve(plan.states[2], start=plan).status is Status.SOLVED
