@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +13,6 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array, Flags, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.feedback import block_lengths
-from mpc.halfspaces import nearest_points, projection
 from mpc.problem import MPCProblem
 
 Given = dict[str, Array]
@@ -23,9 +23,10 @@ def simulated(problem: MPCProblem, x: Array, push: Array, law: Callable[[int, Ar
     inputs = np.empty((problem.horizon, problem.nu))
     states = np.empty((problem.horizon + 1, problem.nx))
     states[0] = x
-    for k in range(problem.horizon):
+    A, B = problem.A, problem.B
+    for k, pushed in enumerate(push):
         inputs[k] = law(k, states[k])
-        states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
+        states[k + 1] = finite(A @ states[k] + B @ inputs[k] + pushed)
     return inputs, states
 
 
@@ -44,14 +45,13 @@ def rollout_with_feedback(
     starts = np.cumsum([0, *block_lengths(problem)])[:-1].tolist()
     wanted = np.empty(deviations.shape)
     held = np.empty(deviations.shape)
-    nearest = projection(*problem.input_rows)
 
     def law(k: int, state: Array) -> Array:
         """Input of a block, from the state at its start."""
         b = bisect_right(starts, k) - 1
         if k == starts[b]:
             wanted[b] = finite(deviations[b] - feedback[b] @ state)
-            held[b] = nearest(wanted[b][None])[0]
+            held[b] = problem.nearest_inputs(wanted[b][None])[0]
         return np.asarray(held[b])
 
     inputs, states = simulated(problem, x, pushes(problem, given), law)
@@ -62,7 +62,7 @@ def rollout_with_feedback(
 
 def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
     """Inputs within U and the rate limit that follow `inputs`."""
-    followed = nearest_points(np.nan_to_num(inputs), *problem.input_rows)
+    followed = problem.nearest_inputs(np.nan_to_num(inputs))
     if problem.rate_limit is None:
         return followed
     return no_faster(followed, given["u_prev"], problem.rate_limit, np.zeros(len(followed), dtype=bool))
@@ -155,7 +155,7 @@ def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Arr
 
 def finite(v: Array) -> Array:
     """Numbers with overflow replaced by large ones and NaN by 0."""
-    if np.isfinite(v).all():
+    if math.isfinite(np.vdot(v, v)):  # half the time of looking at each entry
         return v
     largest = float(np.finfo(float).max) / 4
     return np.nan_to_num(v, nan=0.0, posinf=largest, neginf=-largest)

@@ -14,7 +14,7 @@ from mpc.condensing import condense, number_of_slacks, row_units
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import NotStabilisableError
 from mpc.feedback import block_lengths, stabilising_feedback
-from mpc.halfspaces import is_empty, projection
+from mpc.halfspaces import is_empty
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import (
@@ -290,11 +290,9 @@ def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]
     except NotStabilisableError:
         gain = np.zeros((problem.nu, problem.nx))
 
-    nearest = projection(*problem.input_rows)
-
     def law(_: int, state: Array) -> Array:
         """Saturated input."""
-        return np.asarray(nearest(finite(-gain @ state)[None])[0])
+        return problem.nearest_inputs(finite(-gain @ state)[None])[0]
 
     with np.errstate(over="ignore", invalid="ignore"):
         return simulated(problem, x, push, law)
