@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,7 +23,6 @@ from mpc.rollout import (
     admissible,
     cost_of,
     finite,
-    pushes,
     relative_violations,
     rollout,
     rollout_with_feedback,
@@ -97,6 +97,9 @@ class CondensedSolver:
         self._scale = 1 / np.sqrt(np.diag(self.qp.H)[:moves])
         self._H = self.qp.H[:moves, :moves] * self._scale * self._scale[:, None]
         self._inverse = np.linalg.inv(self._H)
+        self._starts = np.cumsum([0, *block_lengths(problem)])[:-1]
+        extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
+        self._relative_feedback = None if self.feedback is None else self.feedback / extent[:, None]
 
     def theta(self, x: Array, given: Given) -> Array:
         """Parameter of the QP."""
@@ -144,24 +147,18 @@ class CondensedSolver:
     def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Plan | None:
         """Best candidate; None where input constraints contradict.
 
-        What fails its check is solved stage by stage for an unstable plant, and so is what has to be relaxed while the
-        states run away: there the dense QP would lose the digits of the inputs.
+        What fails its check is solved stage by stage for an unstable plant, as where the states run away: there the
+        dense QP loses the digits of the inputs.
         """
         # without limits of states there is nothing to relax, so the word needs a second one
         result = self.dense.solve(q, b, confirm_infeasible=not self.soft.any())
         status = Status.SOLVED
-        away = False
         if result.infeasible:
             if inputs_conflict(self.problem, given.get("u_prev")):
                 return None
-            inputs, states = regulated(self.problem, x, pushes(self.problem, given))
-            away = self._runs_away(states)
-            far = self._stage_by_stage(inputs, x, given, q) if away else None
-            if far is not None:
-                return far
             result, status = self._relaxed(q, b) or (result, Status.SOFTENED)
         first = self._candidate(result, status, x, theta, given)
-        if first.status is status or away or not self.unstable:
+        if first.status is status or not self.unstable:
             return first
         return self._stage_by_stage(first.inputs, x, given, q) or first
 
@@ -195,16 +192,12 @@ class CondensedSolver:
         soft = self.soft
         if not soft.any():
             return None
-        steps = np.array([label.step for label in qp.labels])
-        last = int(steps[soft].max())
-        columns = np.zeros((qp.m, last))
-        columns[soft, steps[soft] - 1] = -units[soft]
         typical = self._typical_cost(q)
+        columns = self._slack_columns
         for share in RELAXATION_SHARES:
             share = share / typical
-            H = block_diag(share * qp.H, np.eye(last))
-            elastic = DenseQP(H, np.hstack([qp.G, columns]), units, second=self.dense.second)
-            result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, confirm_infeasible=True)
+            linear = np.concatenate([share * q, np.zeros(columns.shape[1])])
+            result = self._elastic(share).solve(linear, b, confirm_infeasible=True)
             if result.infeasible or result.residuals.worst <= KKT:
                 break
         if result.infeasible or not np.isfinite(result.z).all():
@@ -216,19 +209,43 @@ class CondensedSolver:
         z = result.z[: qp.nz]
         return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
 
+    @cached_property
+    def _slack_columns(self) -> Array:
+        """Columns (m, steps) of the violations of each step, in units of the rows."""
+        steps = np.array([label.step for label in self.qp.labels])
+        columns = np.zeros((self.qp.m, int(steps[self.soft].max())))
+        columns[self.soft, steps[self.soft] - 1] = -self.units[self.soft]
+        return columns
+
+    @cached_property
+    def _elastic(self) -> Callable[[float], DenseQP]:
+        """Share of the cost → QP with squared violations."""
+
+        def elastic(share: float) -> DenseQP:
+            """QP of one share, whose working set the next one from nearby begins with."""
+            H = block_diag(share * self.qp.H, np.eye(self._slack_columns.shape[1]))
+            return DenseQP(H, np.hstack([self.qp.G, self._slack_columns]), self.units, second=self.dense.second)
+
+        return lru_cache(len(RELAXATION_SHARES))(elastic)
+
     def _typical_cost(self, q: Array) -> float:
         """Cost of the unconstrained optimum within input bounds, at least one row unit's.
 
         A wide bound plays no part in it, and next to the origin, where nothing is wanted, violations still count.
         """
-        qp, input_extent = self.qp, self.problem.input_extent
-        curvature = np.diag(qp.H)
-        size = np.full(qp.nz, np.inf)
-        moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
-        size[:moves] = np.tile(np.where(input_extent > 0, input_extent, np.inf), moves // len(input_extent))
-        wanted = float(np.minimum(size**2 * curvature, q**2 / curvature).sum())
-        moved = ((qp.G[self.soft] / self.units[self.soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
-        return max(wanted, float(1 / moved)) if moved > 0.0 else wanted or 1.0
+        curvature, bounded, least = self._sizes_of_cost
+        return max(float(np.minimum(bounded, q**2 / curvature).sum()), least) or 1.0
+
+    @cached_property
+    def _sizes_of_cost(self) -> tuple[Array, Array, float]:
+        """Curvature (nz,), cost (nz,) of inputs at their bounds, and cost of moving a row by its unit or 0."""
+        extent = np.where(self.problem.input_extent > 0, self.problem.input_extent, np.inf)
+        curvature = np.diag(self.qp.H)
+        size = np.full(self.qp.nz, np.inf)
+        moves = len(self._scale)
+        size[:moves] = np.tile(extent, moves // len(extent))
+        moved = ((self.qp.G[self.soft] / self.units[self.soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
+        return curvature, size**2 * curvature, float(1 / moved) if moved > 0.0 else 0.0
 
     def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Plan:
         """Plan of the QP's minimiser; INACCURATE where it fails a check."""
@@ -250,12 +267,10 @@ class CondensedSolver:
 
     def _runs_away(self, states: Array) -> bool:
         """Whether v - Kx keeps too few digits of the inputs."""
-        if self.feedback is None:
+        if self._relative_feedback is None:
             return False
-        starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
-        feedback = np.abs(np.einsum("bij,bj->bi", self.feedback, states[starts]))
-        extent = np.where(self.problem.input_extent > 0, self.problem.input_extent, np.inf)
-        return bool((feedback / extent).max() > RUNAWAY)
+        feedback = np.einsum("bij,bj->bi", self._relative_feedback, states[self._starts])
+        return bool(np.abs(feedback).max() > RUNAWAY)
 
     def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Plan | None:
         """Plan found stage by stage, or None."""
