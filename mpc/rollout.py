@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,26 +19,25 @@ Given = dict[str, Array]
 
 
 def simulated(problem: MPCProblem, x: Array, push: Array, law: Callable[[int, Array], Array]) -> tuple[Array, Array]:
-    """Inputs (N, nu) and states (N + 1, nx) under a law, with pushes."""
-    inputs = np.empty((problem.horizon, problem.nu))
-    states = np.empty((problem.horizon + 1, problem.nx))
-    states[0] = x
-    A, B = problem.A, problem.B
-    for k, pushed in enumerate(push):
-        inputs[k] = law(k, states[k])
-        states[k + 1] = finite(A @ states[k] + B @ inputs[k] + pushed)
+    """Inputs (n, N, nu) and states (n, N + 1, nx) from x (n, nx) under a law of states (n, nx), with pushes."""
+    inputs = np.empty((len(x), problem.horizon, problem.nu))
+    states = np.empty((len(x), problem.horizon + 1, problem.nx))
+    states[:, 0] = x
+    for k in range(problem.horizon):
+        u = inputs[:, k] = law(k, x)
+        x = states[:, k + 1] = finite(x @ problem.A.T + u @ problem.B.T + push[..., k, :])
     return inputs, states
 
 
 def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array:
     """States (N + 1, nx) of the model under inputs and disturbance."""
-    return simulated(problem, x, pushes(problem, given), lambda k, _: np.asarray(inputs[k]))[1]
+    return np.asarray(simulated(problem, x[None], pushes(problem, given), lambda k, _: inputs[None, k])[1][0])
 
 
 def rollout_with_feedback(
-    problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Given
-) -> tuple[Array, Array, float]:
-    """Inputs u = v - Kx in U, states, and relative violation of limits.
+    problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Sequence[Given]
+) -> tuple[Array, Array, Array]:
+    """Inputs u = v - Kx in U, states, and relative violation of limits (n,), from states x (n, nx).
 
     Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
     """
@@ -50,14 +49,15 @@ def rollout_with_feedback(
         """Input of a block, from the state at its start."""
         b = bisect_right(starts, k) - 1
         if k == starts[b]:
-            wanted[b] = finite(deviations[b] - feedback[b] @ state)
-            held[b] = problem.nearest_inputs(wanted[b][None])[0]
-        return np.asarray(held[b])
+            wanted[:, b] = finite(deviations[:, b] - state @ feedback[b].T)
+            held[:, b] = problem.nearest_inputs(wanted[:, b])
+        return np.asarray(held[:, b])
 
-    inputs, states = simulated(problem, x, pushes(problem, given), law)
+    inputs, states = simulated(problem, x, np.array([pushes(problem, each) for each in given]), law)
     extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
-    missed = float(np.max(np.abs((held - wanted) / extent), initial=0.0))
-    return inputs, states, max(missed, rate_violation(problem, inputs, given))
+    missed = np.abs((held - wanted) / extent).max(axis=(1, 2), initial=0.0)
+    rates = [rate_violation(problem, *each) for each in zip(inputs, given)]
+    return inputs, states, np.maximum(missed, rates)
 
 
 def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
@@ -133,9 +133,10 @@ def violation_of(problem: MPCProblem, states: Array) -> float:
 
 
 def _excesses(problem: MPCProblem, states: Array) -> tuple[Array, Array]:
-    """Excess over limits (N, rows), and at the end (rows,)."""
+    """Excess over limits (…, N, rows), and at the end (…, rows)."""
     end, at_end = problem.rows_at("terminal", problem.horizon)
-    return finite(states[1:] @ problem.state_rows[0].T) - problem.bounds["state"][1:], finite(end @ states[-1]) - at_end
+    along = finite(states[..., 1:, :] @ problem.state_rows[0].T) - problem.bounds["state"][1:]
+    return along, finite(states[..., -1, :] @ end.T) - at_end
 
 
 def _largest(excess: Array) -> float:
@@ -145,11 +146,11 @@ def _largest(excess: Array) -> float:
 
 
 def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Array] | None = None) -> Array:
-    """Largest relative violation (N,) of each step [-]."""
+    """Largest relative violation (…, N) of each step of states (…, N + 1, nx) [-]."""
     excess, at_end = _excesses(problem, states)
     units = problem.row_units if units is None else units
-    along = np.max(excess / units["state"], axis=1, initial=0.0)
-    along[-1] = max(along[-1], float(np.max(at_end / units["terminal"], initial=0.0)))
+    along = np.max(excess / units["state"], axis=-1, initial=0.0)
+    along[..., -1] = np.maximum(along[..., -1], np.max(at_end / units["terminal"], axis=-1, initial=0.0))
     return np.asarray(along)
 
 
