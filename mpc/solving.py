@@ -42,6 +42,7 @@ from mpc.tolerances import (
     RELAXATION_MARGIN,
     RELAXATION_SHARES,
     RELAXATION_WIDER,
+    ROUNDED_SUM,
     RUNAWAY,
 )
 
@@ -255,7 +256,9 @@ class CondensedSolver:
         def elastic(share: float) -> DenseQP:
             """QP of one share, whose working set the next one from nearby begins with."""
             H = block_diag(share * self.qp.H, np.eye(self._slack_columns.shape[1]))
-            return DenseQP(H, np.hstack([self.qp.G, self._slack_columns]), self.units, second=self.dense.second)
+            G = np.hstack([self.qp.G, self._slack_columns])
+            # many rows that are violated together differ by a small share of their slacks alone
+            return DenseQP(H, G, self.units, second=self.dense.second, settings={"sing_tol": ROUNDED_SUM})
 
         return lru_cache(len(RELAXATION_SHARES))(elastic)
 
