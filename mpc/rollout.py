@@ -19,7 +19,10 @@ Given = dict[str, Array]
 
 
 def simulated(problem: MPCProblem, x: Array, push: Array, law: Callable[[int, Array], Array]) -> tuple[Array, Array]:
-    """Inputs (n, N, nu) and states (n, N + 1, nx) from x (n, nx) under a law of states (n, nx), with pushes."""
+    """Inputs and states under a law, with pushes.
+
+    x : (n, nx); push : (N, nx), or (n, N, nx); law : of the step and states (n, nx).
+    """
     inputs = np.empty((len(x), problem.horizon, problem.nu))
     states = np.empty((len(x), problem.horizon + 1, problem.nx))
     states[:, 0] = x
@@ -37,7 +40,7 @@ def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array
 def rollout_with_feedback(
     problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Sequence[Given]
 ) -> tuple[Array, Array, Array]:
-    """Inputs u = v - Kx in U, states, and relative violation of limits (n,), from states x (n, nx).
+    """Inputs u = v - Kx in U, states, relative violations (n,).
 
     Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
     """
@@ -146,7 +149,7 @@ def _largest(excess: Array) -> float:
 
 
 def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Array] | None = None) -> Array:
-    """Largest relative violation (…, N) of each step of states (…, N + 1, nx) [-]."""
+    """Largest relative violation (…, N) of each step [-]."""
     excess, at_end = _excesses(problem, states)
     units = problem.row_units if units is None else units
     along = np.max(excess / units["state"], axis=-1, initial=0.0)

@@ -49,7 +49,10 @@ from mpc.tolerances import (
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Solution of the QP, whether it was relaxed, and inputs of the regulator where that would run away."""
+    """Solution of the QP, and what is known of it.
+
+    status : SOFTENED where the QP was relaxed; far : inputs (N, nu) of the regulator where its states run away.
+    """
 
     result: QPResult
     status: Status
@@ -182,7 +185,10 @@ class CondensedSolver:
         return stage_by_stage(inputs) or first
 
     def _program(self, x: Array, given: Given, q: Array, b: Array) -> Program | None:
-        """Solution, of a relaxed QP if need be; None where input constraints contradict or data overflow."""
+        """Solution, relaxed if need be.
+
+        There is none where input constraints contradict or data overflow.
+        """
         if not max(np.abs(q).max(), (-b).max(initial=0.0)) < OVERFLOW:  # a bound that says nothing may be larger
             return None
         # without limits of states there is nothing to relax, so the word needs a second one
@@ -243,7 +249,7 @@ class CondensedSolver:
 
     @cached_property
     def _slack_columns(self) -> Array:
-        """Columns (m, steps) of the violations of each step, in units of the rows."""
+        """Columns (m, steps) of each step's relative violation."""
         steps = np.array([label.step for label in self.qp.labels])
         columns = np.zeros((self.qp.m, int(steps[self.soft].max())))
         columns[self.soft, steps[self.soft] - 1] = -self.units[self.soft]
@@ -254,7 +260,7 @@ class CondensedSolver:
         """Share of the cost → QP with squared violations."""
 
         def elastic(share: float) -> DenseQP:
-            """QP of one share, whose working set the next one from nearby begins with."""
+            """QP of one share."""
             H = block_diag(share * self.qp.H, np.eye(self._slack_columns.shape[1]))
             G = np.hstack([self.qp.G, self._slack_columns])
             # many rows that are violated together differ by a small share of their slacks alone
@@ -272,7 +278,7 @@ class CondensedSolver:
 
     @cached_property
     def _sizes_of_cost(self) -> tuple[Array, Array, float]:
-        """Curvature (nz,), cost (nz,) of inputs at their bounds, and cost of moving a row by its unit or 0."""
+        """Curvatures, costs of input bounds, and of a row's unit."""
         curvature = np.diag(self.qp.H)
         size = np.full(self.qp.nz, np.inf)
         moves = len(self._scale)
@@ -283,7 +289,7 @@ class CondensedSolver:
     def _trajectories(
         self, programs: Sequence[Program], x: Array, given: Sequence[Given]
     ) -> tuple[Array, Array, Flags]:
-        """Inputs (n, N, nu) and states (n, N + 1, nx) of solutions from x (n, nx), and whether checks hold (n,)."""
+        """Inputs, states, and whether their checks hold (n,)."""
         problem, qp = self.problem, self.qp
         accurate = np.array([program.result.residuals.worst <= KKT_REPORTED for program in programs])
         z = np.array([program.result.z for program in programs])
@@ -302,7 +308,7 @@ class CondensedSolver:
         return inputs, states, accurate
 
     def _far_inputs(self, x: Array, push: Array) -> Array | None:
-        """Inputs of the saturated regulator where its states run away, None where they do not."""
+        """Regulator's inputs where its states run away, otherwise None."""
         if self.feedback is None:
             return None
         by_state, by_pushes, of_inputs = self._most_pull
@@ -314,7 +320,7 @@ class CondensedSolver:
 
     @cached_property
     def _most_pull(self) -> tuple[Array, Array, Array]:
-        """Bounds (nu, nx) of `_pull` by the first state and by pushes, and pushes (nx,) of inputs within bounds."""
+        """Bounds on `_pull` by state and pushes; inputs' pushes."""
         assert self.feedback is not None
         problem = self.problem
         box = box_of(*problem.input_rows)
@@ -331,7 +337,10 @@ class CondensedSolver:
         return by_state, by_pushes, np.abs(problem.B) @ largest
 
     def _pull(self, feedback: Array, states: Array) -> Array:
-        """Largest Kx (n,) along states (n, N + 1, nx), in sizes of inputs: u = v - Kx keeps that many digits less."""
+        """Largest Kx (n,) in sizes of inputs.
+
+        By so much u = v - Kx is less exact than v.
+        """
         starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
         pull = np.abs(np.einsum("bij,nbj->nbi", feedback, states[:, starts])) / self._extent
         return np.asarray(pull.max(axis=(1, 2)))
