@@ -39,6 +39,7 @@ from mpc.tolerances import (
     KKT_REPORTED,
     NEAR_CIRCLE,
     OVERFLOW,
+    PRIMAL,
     RELAXATION_MARGIN,
     RELAXATION_SHARES,
     RELAXATION_WIDER,
@@ -232,11 +233,13 @@ class CondensedSolver:
             return None
         typical = self._typical_cost(q)
         columns = self._slack_columns
-        for share in RELAXATION_SHARES:
+        tries: list[tuple[float, dict[str, float]]] = [(share, {}) for share in RELAXATION_SHARES]
+        # many rows that are violated together differ by a small part of their slacks alone, which magnifies residuals
+        for share, settings in [(RELAXATION_SHARES[0], {"sing_tol": ROUNDED_SUM}), *tries]:
             share = share / typical
             linear = np.concatenate([share * q, np.zeros(columns.shape[1])])
-            result = self._elastic(share).solve(linear, b, confirm_infeasible=True)
-            if result.infeasible or result.residuals.worst <= KKT:
+            result = self._elastic(share, **settings).solve(linear, b, confirm_infeasible=not settings)
+            if result.residuals.worst <= (PRIMAL if settings else KKT) or (result.infeasible and not settings):
                 break
         if result.infeasible or not np.isfinite(result.z).all():
             return None
@@ -256,15 +259,14 @@ class CondensedSolver:
         return columns
 
     @cached_property
-    def _elastic(self) -> Callable[[float], DenseQP]:
+    def _elastic(self) -> Callable[..., DenseQP]:
         """Share of the cost → QP with squared violations."""
 
-        def elastic(share: float) -> DenseQP:
+        def elastic(share: float, **settings: float) -> DenseQP:
             """QP of one share."""
             H = block_diag(share * self.qp.H, np.eye(self._slack_columns.shape[1]))
             G = np.hstack([self.qp.G, self._slack_columns])
-            # many rows that are violated together differ by a small share of their slacks alone
-            return DenseQP(H, G, self.units, second=self.dense.second, settings={"sing_tol": ROUNDED_SUM})
+            return DenseQP(H, G, self.units, second=self.dense.second, settings=settings)
 
         return lru_cache(len(RELAXATION_SHARES))(elastic)
 
