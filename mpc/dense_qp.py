@@ -46,9 +46,14 @@ class DenseQP:
         Typical size of each entry of b; by default the sizes in b itself, taken anew in every solve.
     second : bool
         Whether Clarabel is asked where DAQP fails; without it the residuals say so.
+    settings : dict, optional
+        Further ones of DAQP.
     """
 
-    def __init__(self, H: Array, G: Array, units: Array | None = None, *, second: bool = True):
+    def __init__(
+        self, H: Array, G: Array, units: Array | None = None, *, second: bool = True,
+        settings: dict[str, float] | None = None,
+    ):  # fmt: skip
         self._d = 1 / np.sqrt(np.diag(H))
         self._H = np.ascontiguousarray(H * self._d * self._d[:, None])
         scaled = G * self._d
@@ -59,6 +64,8 @@ class DenseQP:
         self._G = np.ascontiguousarray(scaled[self._rows] * self._r[:, None])
         self._m = len(G)
         self.second = second
+        # DAQP would give up at a cost beyond 1e30
+        self._settings = {"primal_tol": PRIMAL, "iter_limit": DAQP_ITERATIONS, "fval_bound": 1e300} | (settings or {})
         self._units = units
         self._size = 0.0 if units is None else _typical(units[self._rows] * self._r)
         self._workspace = threading.local()
@@ -114,8 +121,7 @@ class DenseQP:
         model = getattr(self._workspace, "model", None)
         if model is None:
             model = daqp.Model()
-            # DAQP would give up at a cost beyond 1e30
-            model.settings = {"primal_tol": PRIMAL, "iter_limit": DAQP_ITERATIONS, "fval_bound": 1e300}
+            model.settings = self._settings
             lower = np.full(len(b), -NO_BOUND)
             if model.setup(self._H, q, self._G, b, lower, np.zeros(len(b), dtype=np.int32))[0] < 0:
                 return np.full(len(q), np.nan), np.zeros(len(b)), 0

@@ -64,7 +64,8 @@ def projection(H: Array, h: Array) -> Callable[[Array], Array]:
     """Function of rows V: `nearest_points` of one set, for many calls."""
     box = box_of(H, h)
     if box is not None:
-        return lambda V: np.asarray(np.clip(V, *box), dtype=np.float64)
+        low, high = box
+        return lambda V: np.asarray(np.minimum(np.maximum(V, low), high))  # np.clip takes four times as long
     extent = along_axes(H, h)
     metric = 1 / np.where(extent > 0, extent, 1.0)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import as_cross_weight, as_pair, as_weight, frozen
 from mpc.checks import Array, Immutable, as_array, as_blocks, as_count, as_halfspaces, as_rate_limit, as_set, as_soft
 from mpc.exceptions import InfeasibleError, InputError
-from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
+from mpc.halfspaces import Limits, along_axes, first_positive, is_empty, projection
 from mpc.riccati import lqr, settled
 from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tightened, tube_gain
 
@@ -231,6 +231,11 @@ class MPCProblem(Immutable):
     def stage_weight(self) -> Array:
         """Weight [Q S; S' R] of a stage (nx + nu, nx + nu)."""
         return frozen(np.block([[self.Q, self.cross], [self.cross.T, self.R]]))
+
+    @cached_property
+    def nearest_inputs(self) -> Callable[[Array], Array]:
+        """Function of rows (n, nu): `nearest_points` of U."""
+        return projection(*self.input_rows)
 
     @property
     def limits(self) -> Limits:

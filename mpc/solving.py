@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.condensing import condense, number_of_slacks, row_units
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import NotStabilisableError
 from mpc.feedback import block_lengths, stabilising_feedback
-from mpc.halfspaces import is_empty, projection
+from mpc.halfspaces import box_of, is_empty
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import (
@@ -38,11 +39,25 @@ from mpc.tolerances import (
     KKT_REPORTED,
     NEAR_CIRCLE,
     OVERFLOW,
+    PRIMAL,
     RELAXATION_MARGIN,
     RELAXATION_SHARES,
     RELAXATION_WIDER,
+    ROUNDED_SUM,
     RUNAWAY,
 )
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Solution of the QP, and what is known of it.
+
+    status : SOFTENED where the QP was relaxed; far : inputs (N, nu) of the regulator where its states run away.
+    """
+
+    result: QPResult
+    status: Status
+    far: Array | None = None
 
 
 def plan_of(
@@ -97,6 +112,7 @@ class CondensedSolver:
         self._scale = 1 / np.sqrt(np.diag(self.qp.H)[:moves])
         self._H = self.qp.H[:moves, :moves] * self._scale * self._scale[:, None]
         self._inverse = np.linalg.inv(self._H)
+        self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
 
     def theta(self, x: Array, given: Given) -> Array:
         """Parameter of the QP."""
@@ -119,13 +135,21 @@ class CondensedSolver:
         moves = len(self._scale)
         with np.errstate(over="ignore", invalid="ignore"):
             theta = np.array([self.theta(*each) for each in zip(states, given)])
-            q = (theta @ qp.F[:moves].T + qp.f[:moves]) * self._scale
-            v = -q @ self._inverse
+            q = theta @ qp.F.T + qp.f
+            b = qp.w + theta @ qp.S.T
+            force = q[:, :moves] * self._scale
+            v = -force @ self._inverse
             z = v * self._scale
-            free = np.linalg.norm(v @ self._H + q, axis=1) <= KKT * np.linalg.norm(q, axis=1)
-            free &= (z @ qp.G[:, :moves].T <= qp.w + theta @ qp.S.T).all(axis=1)
+            found = np.linalg.norm(v @ self._H + force, axis=1) <= KKT * np.linalg.norm(force, axis=1)
+            found &= (z @ qp.G[:, :moves].T <= b).all(axis=1)
             u = z @ qp.Lz[: qp.nu, :moves].T + theta @ qp.Lt[: qp.nu].T + qp.l[: qp.nu]
-        for i in np.flatnonzero(~free).tolist():
+            limited = {i: self._program(states[i], given[i], q[i], b[i]) for i in np.flatnonzero(~found).tolist()}
+            solved = {i: program for i, program in limited.items() if program is not None and program.far is None}
+            if solved:
+                own = [given[i] for i in solved]
+                inputs, _, found[[*solved]] = self._trajectories([*solved.values()], states[[*solved]], own)
+                u[[*solved]] = inputs[:, 0]
+        for i in np.flatnonzero(~found).tolist():
             u[i] = self.plan(states[i], given[i], time.perf_counter()).inputs[0]
         return np.asarray(u)
 
@@ -134,36 +158,48 @@ class CondensedSolver:
         theta = self.theta(x, given)
         with np.errstate(over="ignore", invalid="ignore"):
             q, b = self.qp.at(theta)
-            if not max(np.abs(q).max(), (-b).max(initial=0.0)) < OVERFLOW:  # a bound that says nothing may be larger
-                return saturated_regulator(self.problem, x, start)
-            found = self._solve(x, theta, given, q, b)
+            program = self._program(x, given, q, b)
+            found = None if program is None else self._best(program, x, given, q)
             if found is None or not np.isfinite(found.inputs).all():
                 return saturated_regulator(self.problem, x, start)
             return timed(found, start)
 
-    def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Plan | None:
-        """Best candidate; None where input constraints contradict.
+    def _best(self, program: Program, x: Array, given: Given, q: Array) -> Plan:
+        """Plan of a program's solution, INACCURATE where it fails a check.
 
-        What fails its check is solved stage by stage for an unstable plant, and so is what has to be relaxed while the
-        states run away: there the dense QP would lose the digits of the inputs.
+        What does is solved stage by stage for an unstable plant, and so is what has to be relaxed while the states run
+        away: there the dense QP would lose the digits of the inputs.
         """
+        stage_by_stage = partial(stagewise_candidate, self.problem, x, given, typical_cost=self._typical_cost(q))
+        away = None if program.far is None else stage_by_stage(program.far)
+        if away is not None:
+            return away
+        result, status = program.result, program.status
+        inputs, states, accurate = (found[0] for found in self._trajectories([program], x[None], [given]))
+        if not accurate:
+            inputs = admissible(self.problem, inputs, given)
+            states = rollout(self.problem, x, inputs, given)
+            status = Status.INACCURATE
+        first = plan_of(self.problem, given, inputs, states, status, result.residuals, result.solver)
+        if accurate or program.far is not None or not self.unstable:
+            return first
+        return stage_by_stage(inputs) or first
+
+    def _program(self, x: Array, given: Given, q: Array, b: Array) -> Program | None:
+        """Solution, relaxed if need be.
+
+        There is none where input constraints contradict or data overflow.
+        """
+        if not max(np.abs(q).max(), (-b).max(initial=0.0)) < OVERFLOW:  # a bound that says nothing may be larger
+            return None
         # without limits of states there is nothing to relax, so the word needs a second one
         result = self.dense.solve(q, b, confirm_infeasible=not self.soft.any())
-        status = Status.SOLVED
-        away = False
-        if result.infeasible:
-            if inputs_conflict(self.problem, given.get("u_prev")):
-                return None
-            inputs, states = regulated(self.problem, x, pushes(self.problem, given))
-            away = self._runs_away(states)
-            far = self._stage_by_stage(inputs, x, given, q) if away else None
-            if far is not None:
-                return far
-            result, status = self._relaxed(q, b) or (result, Status.SOFTENED)
-        first = self._candidate(result, status, x, theta, given)
-        if first.status is status or away or not self.unstable:
-            return first
-        return self._stage_by_stage(first.inputs, x, given, q) or first
+        if not result.infeasible:
+            return Program(result, Status.SOLVED)
+        if inputs_conflict(self.problem, given.get("u_prev")):
+            return None
+        relaxed = self._relaxed(q, b) or (result, Status.SOFTENED)
+        return Program(*relaxed, self._far_inputs(x, pushes(self.problem, given)))
 
     def _relaxed(self, q: Array, b: Array) -> tuple[QPResult, Status] | None:
         """Solution with least relaxed state constraints, SOLVED where none needed it; None without one.
@@ -195,17 +231,15 @@ class CondensedSolver:
         soft = self.soft
         if not soft.any():
             return None
-        steps = np.array([label.step for label in qp.labels])
-        last = int(steps[soft].max())
-        columns = np.zeros((qp.m, last))
-        columns[soft, steps[soft] - 1] = -units[soft]
         typical = self._typical_cost(q)
-        for share in RELAXATION_SHARES:
+        columns = self._slack_columns
+        tries: list[tuple[float, dict[str, float]]] = [(share, {}) for share in RELAXATION_SHARES]
+        # many rows that are violated together differ by a small part of their slacks alone, which magnifies residuals
+        for share, settings in [(RELAXATION_SHARES[0], {"sing_tol": ROUNDED_SUM}), *tries]:
             share = share / typical
-            H = block_diag(share * qp.H, np.eye(last))
-            elastic = DenseQP(H, np.hstack([qp.G, columns]), units, second=self.dense.second)
-            result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, confirm_infeasible=True)
-            if result.infeasible or result.residuals.worst <= KKT:
+            linear = np.concatenate([share * q, np.zeros(columns.shape[1])])
+            result = self._elastic(share, **settings).solve(linear, b, confirm_infeasible=not settings)
+            if result.residuals.worst <= (PRIMAL if settings else KKT) or (result.infeasible and not settings):
                 break
         if result.infeasible or not np.isfinite(result.z).all():
             return None
@@ -216,50 +250,102 @@ class CondensedSolver:
         z = result.z[: qp.nz]
         return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
 
+    @cached_property
+    def _slack_columns(self) -> Array:
+        """Columns (m, steps) of each step's relative violation."""
+        steps = np.array([label.step for label in self.qp.labels])
+        columns = np.zeros((self.qp.m, int(steps[self.soft].max())))
+        columns[self.soft, steps[self.soft] - 1] = -self.units[self.soft]
+        return columns
+
+    @cached_property
+    def _elastic(self) -> Callable[..., DenseQP]:
+        """Share of the cost → QP with squared violations."""
+
+        def elastic(share: float, **settings: float) -> DenseQP:
+            """QP of one share."""
+            H = block_diag(share * self.qp.H, np.eye(self._slack_columns.shape[1]))
+            G = np.hstack([self.qp.G, self._slack_columns])
+            return DenseQP(H, G, self.units, second=self.dense.second, settings=settings)
+
+        return lru_cache(len(RELAXATION_SHARES))(elastic)
+
     def _typical_cost(self, q: Array) -> float:
         """Cost of the unconstrained optimum within input bounds, at least one row unit's.
 
         A wide bound plays no part in it, and next to the origin, where nothing is wanted, violations still count.
         """
-        qp, input_extent = self.qp, self.problem.input_extent
-        curvature = np.diag(qp.H)
-        size = np.full(qp.nz, np.inf)
-        moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
-        size[:moves] = np.tile(np.where(input_extent > 0, input_extent, np.inf), moves // len(input_extent))
-        wanted = float(np.minimum(size**2 * curvature, q**2 / curvature).sum())
-        moved = ((qp.G[self.soft] / self.units[self.soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
-        return max(wanted, float(1 / moved)) if moved > 0.0 else wanted or 1.0
+        curvature, bounded, least = self._sizes_of_cost
+        return max(float(np.minimum(bounded, q**2 / curvature).sum()), least) or 1.0
 
-    def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Plan:
-        """Plan of the QP's minimiser; INACCURATE where it fails a check."""
-        accurate = result.residuals.worst <= KKT_REPORTED
-        if self.feedback is not None and np.isfinite(result.z).all():
-            deviations = result.z[: self.feedback.shape[0] * self.problem.nu].reshape(-1, self.problem.nu)
-            inputs, states, missed = rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
-            accurate = accurate and missed <= KKT_REPORTED and not self._runs_away(states)
-            if status is Status.SOLVED and self.problem.soft is None:
-                accurate = accurate and relative_violations(self.problem, states).max() <= KKT_REPORTED
-        else:
-            inputs = self.qp.inputs(result.z, theta)
-            states = self.qp.states(result.z, theta)
-        if not accurate:
-            inputs = admissible(self.problem, inputs, given)
-            states = rollout(self.problem, x, inputs, given)
-        status = status if accurate else Status.INACCURATE
-        return plan_of(self.problem, given, inputs, states, status, result.residuals, result.solver)
+    @cached_property
+    def _sizes_of_cost(self) -> tuple[Array, Array, float]:
+        """Curvatures, costs of input bounds, and of a row's unit."""
+        curvature = np.diag(self.qp.H)
+        size = np.full(self.qp.nz, np.inf)
+        moves = len(self._scale)
+        size[:moves] = np.tile(self._extent, moves // len(self._extent))
+        moved = ((self.qp.G[self.soft] / self.units[self.soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
+        return curvature, size**2 * curvature, float(1 / moved) if moved > 0.0 else 0.0
 
-    def _runs_away(self, states: Array) -> bool:
-        """Whether v - Kx keeps too few digits of the inputs."""
+    def _trajectories(
+        self, programs: Sequence[Program], x: Array, given: Sequence[Given]
+    ) -> tuple[Array, Array, Flags]:
+        """Inputs, states, and whether their checks hold (n,)."""
+        problem, qp = self.problem, self.qp
+        accurate = np.array([program.result.residuals.worst <= KKT_REPORTED for program in programs])
+        z = np.array([program.result.z for program in programs])
+        z[~np.isfinite(z)] = 0.0
         if self.feedback is None:
-            return False
-        starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
-        feedback = np.abs(np.einsum("bij,bj->bi", self.feedback, states[starts]))
-        extent = np.where(self.problem.input_extent > 0, self.problem.input_extent, np.inf)
-        return bool((feedback / extent).max() > RUNAWAY)
+            theta = np.array([self.theta(*each) for each in zip(x, given)])
+            inputs = z @ qp.Lz.T + theta @ qp.Lt.T + qp.l
+            states = z @ qp.Xz.T + theta @ qp.Xt.T + qp.x
+            return inputs.reshape(len(z), -1, problem.nu), states.reshape(len(z), -1, problem.nx), accurate
+        deviations = z[:, : len(self._scale)].reshape(len(z), -1, problem.nu)
+        inputs, states, missed = rollout_with_feedback(problem, x, deviations, self.feedback, given)
+        accurate &= (missed <= KKT_REPORTED) & (self._pull(self.feedback, states) <= RUNAWAY)
+        if problem.soft is None:
+            relaxed = np.array([program.status is Status.SOFTENED for program in programs])
+            accurate &= relaxed | (relative_violations(problem, states).max(axis=1) <= KKT_REPORTED)
+        return inputs, states, accurate
 
-    def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Plan | None:
-        """Plan found stage by stage, or None."""
-        return stagewise_candidate(self.problem, x, given, inputs, self._typical_cost(q))
+    def _far_inputs(self, x: Array, push: Array) -> Array | None:
+        """Regulator's inputs where its states run away, otherwise None."""
+        if self.feedback is None:
+            return None
+        by_state, by_pushes, of_inputs = self._most_pull
+        most = by_state @ np.abs(x) + by_pushes @ (np.abs(push).max(axis=0) + of_inputs)
+        if (most <= RUNAWAY).all():  # whatever the inputs are
+            return None
+        inputs, states = regulated(self.problem, x, push)
+        return inputs if self._pull(self.feedback, states[None])[0] > RUNAWAY else None
+
+    @cached_property
+    def _most_pull(self) -> tuple[Array, Array, Array]:
+        """Bounds on `_pull` by state and pushes; inputs' pushes."""
+        assert self.feedback is not None
+        problem = self.problem
+        box = box_of(*problem.input_rows)
+        gains = np.repeat(np.abs(self.feedback), block_lengths(problem), axis=0) / self._extent[:, None]
+        power = np.eye(problem.nx)
+        pushed = np.zeros_like(power)
+        by_state = by_pushes = np.zeros(problem.B.T.shape)
+        for gain in gains:
+            by_state = np.maximum(by_state, gain @ np.abs(power))
+            by_pushes = np.maximum(by_pushes, gain @ pushed)
+            pushed = pushed + np.abs(power)
+            power = problem.A @ power
+        largest = np.full(problem.nu, np.inf) if box is None else np.abs(box).max(axis=0)
+        return by_state, by_pushes, np.abs(problem.B) @ largest
+
+    def _pull(self, feedback: Array, states: Array) -> Array:
+        """Largest Kx (n,) in sizes of inputs.
+
+        By so much u = v - Kx is less exact than v.
+        """
+        starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
+        pull = np.abs(np.einsum("bij,nbj->nbi", feedback, states[:, starts])) / self._extent
+        return np.asarray(pull.max(axis=(1, 2)))
 
 
 def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
@@ -290,11 +376,10 @@ def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]
     except NotStabilisableError:
         gain = np.zeros((problem.nu, problem.nx))
 
-    nearest = projection(*problem.input_rows)
-
     def law(_: int, state: Array) -> Array:
         """Saturated input."""
-        return np.asarray(nearest(finite(-gain @ state)[None])[0])
+        return problem.nearest_inputs(finite(-state @ gain.T))
 
     with np.errstate(over="ignore", invalid="ignore"):
-        return simulated(problem, x, push, law)
+        inputs, states = simulated(problem, x[None], push, law)
+    return inputs[0], states[0]

@@ -179,7 +179,8 @@ class SparseSolver:
         if self.feedback is not None:
             starts = np.flatnonzero(~self._stagewise.held)
             deviations = inputs[starts] + np.einsum("bij,bj->bi", self.feedback, predicted[starts])
-            return rollout_with_feedback(self.problem, x, deviations, self.feedback, given)
+            found = rollout_with_feedback(self.problem, x[None], deviations[None], self.feedback, [given])
+            return found[0][0], found[1][0], float(found[2][0])
         within = admissible(self.problem, inputs, given)
         missed = float(np.abs((within - inputs) / self._stagewise.input_size).max())
         return within, rollout(self.problem, x, within, given), missed

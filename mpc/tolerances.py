@@ -41,7 +41,7 @@ NEGLIGIBLE = 1e-6
 # Part of the terms of a sum that is rounding [-]: of bounds along an axis, costs of a mode, coefficients of laws and
 # rows, rates along a unit row, a row at a projected point, a residual or slack of a row, a feedback, a closed loop's
 # distance from the unit circle, an eigenvalue of a matrix with unit diagonal, what is added to a unit diagonal that may
-# be singular
+# be singular, the squared distance of a unit row of the QP of least violation from the span of others
 ROUNDED_SUM = 1e-13
 
 # ---- sets ----

@@ -90,3 +90,28 @@ def test_a_horizon_too_long_for_dense_matrices_is_solved_with_the_states_kept():
     assert plan.status is Status.SOLVED
     shorter = LinearMPC([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]], **(data | {"horizon": 150}))
     np.testing.assert_allclose(plan.inputs[0], shorter([1.0, 0.0]), atol=1e-4)
+
+
+# a pendulum of 0.8 m held upright every 0.1 s
+PENDULUM = dict(
+    A=[[1.09521484375, 0.103125], [1.93359375, 1.09521484375]], B=[[0.02644856770833333], [0.5371093749999999]],
+    Q=[1.0, 0.1], R=[0.001], horizon=20, X=([-12.0, -8.0], [12.0, 8.0]), U=(-2.0, 2.0),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("x", [(2.6, 0.0), (3.0, 0.0), (2.6, -1.0), (1.0, 1.0)])
+def test_where_every_step_is_violated_the_condensed_program_finds_the_least_violation(x):
+    mpc = LinearMPC(**PENDULUM)
+    plan = mpc.solve(x)
+    assert plan.status is Status.SOFTENED
+    assert plan.solver == "DAQP"  # it was called infeasible, and solved stage by stage, in a hundred times the time
+    assert promises(mpc, plan, np.array(x), {}) == []
+    assert plan.inputs == pytest.approx(-2.0)  # which holds it back most
+
+
+def test_softened_plans_of_a_batch_begin_with_the_inputs_of_single_ones():
+    mpc = LinearMPC(**PENDULUM)
+    states = np.random.default_rng(0).uniform(-1, 1, (40, 2)) * [0.5, 1.5]
+    plans = [mpc.solve(x) for x in states]
+    assert {plan.status for plan in plans} == {Status.SOLVED, Status.SOFTENED}
+    assert mpc(states) == pytest.approx(np.array([plan.inputs[0] for plan in plans]), abs=1e-9)
