@@ -13,13 +13,13 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.exceptions import InputError
-from ccdtools.jobs import Begun, beside
+from ccdtools.jobs import beside
 from ccdtools.scenario import Scenario
 from ccdtools.studies.budgets import TRIAL_RUNS
 from ccdtools.studies.by_fit import FittedGeneration, FittedLoop
 from ccdtools.studies.first_policy import imitated_at
-from ccdtools.studies.fitted_trial import LOG, NESTED, DriveTrial, generation_of, law_runs, tried
-from ccdtools.studies.on_sensors import OnSensors
+from ccdtools.studies.fitted_trial import LOG, NESTED, DriveTrial, compared, generation_of, law_runs, service_runs
+from ccdtools.studies.on_sensors import LQG, OnSensors
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import START
@@ -45,9 +45,9 @@ class FittedRun:
         study, real = self.study, self.study.real
         drives = real.fresh or {"as deployed": real.disturbance}
         scenarios = {use: self._fresh(use, drive) for use, drive in drives.items()}
-        with beside(self.jobs, 1 + 2 * len(drives)) as begun:
+        names = [LQG, *study.laws]
+        with beside(self.jobs, 3) as begun:
             nested = None if self.folder.has("nested-lqr") else begun(_nested, study, self.seed)
-            laws = dict[str, Begun]()
             stages = dict[str, Stage]()
             for name, stage in self._generations():
                 if not stages:
@@ -55,13 +55,16 @@ class FittedRun:
                         self._stage("nested-lqr", "Nested LQR of the model, as a baseline", nested[1])
                     best = self.folder.read_stage("nested-lqr").arrays["design"]
                     designs = {START: study.p0, NESTED: best, name: stage.arrays["design"]}
-                    laws = {use: begun(law_runs, study, one, designs) for use, one in scenarios.items()}
+                    laws = begun(law_runs, study, scenarios, designs, (), names)[1]
                 stages[name] = stage
             self.echo("Comparison on the real plant")
-            given = {use: (study, drives[use], one, stages, laws[use][1]()) for use, one in scenarios.items()}
-            (first, own), *rest = given.items()
-            others = {use: begun(tried, *told) for use, told in rest}
-            return stages, {first: tried(*own)} | {use: value() for use, (_, value) in others.items()}
+            last = {[*stages][-1]: stage.arrays["design"]}
+            told = names if len(stage.arrays["known"]) else []
+            given = study, scenarios, last, stage.arrays["known"]
+            others = begun(law_runs, *given, told[1::2])[1]  # half of them, in the other process
+            found = [service_runs(study, scenarios, stages), law_runs(*given, told[::2]), laws(), others()]
+        driven = {use: {at: run for part in found for at, run in part[use].items()} for use in drives}
+        return stages, {use: compared(study, drive, stages, driven[use]) for use, drive in drives.items()}
 
     def _fresh(self, use: str, drive: Any) -> Scenario:
         """Runs of one drive that no generation meets."""
@@ -72,7 +75,7 @@ class FittedRun:
     @property
     def _loop(self) -> FittedLoop:
         """Generations on the real plant."""
-        return FittedLoop(self.study.sensed, self.study.real, self.study.unknown, trial_runs=self._runs)
+        return FittedLoop(self.study.sensed, self.study.real, self.study.unknown, draws=8, trial_runs=self._runs)
 
     def _generations(self) -> Iterator[tuple[str, Stage]]:
         """Generations by name, until one is lost."""

@@ -51,58 +51,70 @@ def generation_of(study: OnSensors, kept: Stage) -> FittedGeneration:
     """Generation of a stage, without its fit."""
     design, agent = kept.arrays["design"], kept.networks["agent"]
     log = Trajectory(**{name: kept.arrays[name] for name in LOG}, dt=study.plant.dt)  # type: ignore[arg-type]
-    return FittedGeneration(
-        design, _behind(study, LearnedPolicy(agent, design), kept.arrays["known"]), log, agent=agent
-    )
+    estimator = estimator_at(problem_of(study, kept.arrays["known"]), design)
+    return FittedGeneration(design, Observed(LearnedPolicy(agent, design), estimator), log, agent=agent)
 
 
 def law_runs(
-    study: OnSensors, scenario: Scenario, designs: Mapping[str, Array], known: Sequence[float] | Array = ()
-) -> dict[Place, Trajectory]:  # fmt: skip
-    """Runs of LQG and the laws of a study at each design, made for what is known and behind its filter.
+    study: OnSensors, scenarios: Mapping[str, Scenario], designs: Mapping[str, Array], known: Sequence[float] | Array,
+    names: Sequence[str],
+) -> dict[str, dict[Place, Trajectory]]:  # fmt: skip
+    """Runs by drive of laws of a study at each design, made for what is known and behind its filter.
 
     The nominal plant is known, or one of unknown entries (m,). A law that cannot be made at a design is left out.
     """
-    state = replace(_problem(study, known), measurement=None)
-    found = {}
+    sensed = problem_of(study, known)
+    state, laws = replace(sensed, measurement=None), {LQG: saturated_lqr, **study.laws}
+    found: dict[str, dict[Place, Trajectory]] = {use: {} for use in scenarios}
     for at, p in designs.items():
-        for name, make in {LQG: saturated_lqr, **study.laws}.items():
+        estimator = estimator_at(sensed, p)
+        for name in names:
             with suppress(MPCError):
-                law = _behind(study, _made(name, make, state, p), known, p)
-                run = scenario.run(law, design=p, limit=study.problem().limit)
-                found[at, f"{name}{TOLD if len(known) else ''}"] = run
+                law = Observed(_made(name, laws[name], state, p), estimator)
+                for use, scenario in scenarios.items():
+                    run = scenario.run(law, design=p, limit=sensed.limit)
+                    found[use][at, f"{name}{TOLD if len(known) else ''}"] = run
     return found
 
 
-def tried(
-    study: OnSensors, drive: Any, scenario: Scenario, stages: Mapping[str, Stage], driven: dict[Place, Trajectory]
+def service_runs(
+    study: OnSensors, scenarios: Mapping[str, Scenario], stages: Mapping[str, Stage]
+) -> dict[str, dict[Place, Trajectory]]:  # fmt: skip
+    """Runs by drive of what was in service, and of what was before a redesign behind the filter that came with it."""
+    tried, before = dict[Place, Any](), None
+    for name, stage in stages.items():
+        if before is not None and stage.values["by"] == "redesign":
+            p = before.arrays["design"]
+            estimator = estimator_at(problem_of(study, stage.arrays["known"]), p)
+            tried[name, "former policy"] = p, Observed(LearnedPolicy(before.networks["agent"], p), estimator)
+        one = generation_of(study, stage)
+        tried[name, "learned"] = one.design, one.controller
+        before = stage
+    limit = study.sensed.limit
+    return {
+        use: {at: scenario.run(law, design=p, limit=limit) for at, (p, law) in tried.items()}
+        for use, scenario in scenarios.items()
+    }
+
+
+def compared(
+    study: OnSensors, drive: Any, stages: Mapping[str, Stage], driven: Mapping[Place, Trajectory]
 ) -> DriveTrial:  # fmt: skip
     """What was in service, step by step, and beside every law at its best, on common runs of one drive."""
-    limit = study.problem().limit
     first, *later = stages
     last, base = [first, *later][-1], study.expert if study.expert in study.laws else LQG
     begun = START, base
     places: dict[str, Place] = {"start": begun, "design": (first, base), "policy": (first, "learned")}
     before = stages[first]
-    one = generation_of(study, before)
-    driven = {**driven, (first, "learned"): scenario.run(one.controller, design=one.design, limit=limit)}
     for name in later:
         stage, by = stages[name], stages[name].values["by"]
-        one = generation_of(study, stage)
         if by == "redesign":  # the filter that came with it has a step of its own
-            p = before.arrays["design"]
-            former = _behind(study, LearnedPolicy(before.networks["agent"], p), stage.arrays["known"])
-            driven[name, "former policy"] = scenario.run(former, design=p, limit=limit)
             places[f"{name}: filter of the fit"] = name, "former policy"
-            moved = "policy learned on" if np.array_equal(p, one.design) else "redesign"
-            places[f"{name}: {moved}"] = name, "learned"
+            same = np.array_equal(before.arrays["design"], stage.arrays["design"])
+            places[f"{name}: {'policy learned on' if same else 'redesign'}"] = name, "learned"
         elif by:
             places[f"{name}: filter of the fit"] = name, "learned"
-        driven[name, "learned"] = scenario.run(one.controller, design=one.design, limit=limit)
         before = stage
-    known = before.arrays["known"]
-    if len(known):
-        driven |= law_runs(study, scenario, {last: before.arrays["design"]}, known)
     metrics = _Measured(study.objective, study.metrics)
     pairs = dict(zip([*places][1:], pairwise(places.values())))
     pairs |= {f"all up to {what}": (begun, at) for what, at in [*places.items()][2:]}
@@ -155,12 +167,7 @@ def _made(name: str, make: Any, problem: CoDesignProblem, p: Array) -> Any:
         raise stopped(f"laws[{name!r}]", make, error, expected, at=f" at the design {p.tolist()}") from error
 
 
-def _behind(study: OnSensors, law: Any, known: Sequence[float] | Array, p: Array | None = None) -> Observed:
-    """Law of the state behind the filter of what is known."""
-    return Observed(law, estimator_at(_problem(study, known), law.design if p is None else p))
-
-
-def _problem(study: OnSensors, known: Sequence[float] | Array) -> CoDesignProblem:
+def problem_of(study: OnSensors, known: Sequence[float] | Array) -> CoDesignProblem:
     """Problem on the nominal plant, or on one of unknown entries (m,)."""
     if not len(known):
         return study.sensed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -70,7 +71,7 @@ class OnSensors(Study):
 
         FittedLoop(self.sensed, self.real, self.unknown)
 
-    @property
+    @cached_property
     def sensed(self) -> CoDesignProblem:
         """Co-design problem on the nominal model and its sensors."""
         return replace(self.problem(), measurement=Measurement(self.plant, noise=self.noise))

@@ -315,7 +315,7 @@ class Study(Immutable):
             limit_tolerance=self.limit_tolerance, output_limits=OutputLimits.of(self.plant), risk=self.risk,
         )  # fmt: skip
 
-    @property
+    @cached_property  # so that moments of its disturbance are found once
     def scenarios(self) -> FixedStart | RandomStarts:
         """Starts and disturbances of episodes and evaluations on the model."""
         if self.starts is None:

@@ -75,6 +75,8 @@ class Learned:
         where that is the one of its return, else as `by` says. It may find what no small change of an expert's
         imitation reaches, such as the use of a wall. One is taken, too, where LQR does nothing at the first design, as
         of a damper whose damping is the input, and where `codesign` goes on from a climb.
+    continued : bool
+        Whether the agent was handed out by a former co-design, at whose end its gradient was looked at.
     """
 
     by: str = "pathwise"
@@ -84,6 +86,7 @@ class Learned:
     limits: StateLimitPenalty | None = None
     history: int | None = None
     from_scratch: bool = False
+    continued: bool = False
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
@@ -94,6 +97,7 @@ class Learned:
         if self.history is not None:
             as_count("history", self.history, least=0)
         as_flag("from_scratch", self.from_scratch)
+        as_flag("continued", self.continued)
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
         if self.limits is not None:
@@ -141,7 +145,8 @@ class Learned:
             learned = policy_from_scratch(problem, design, rng)
             agents.append((_on_from_scratch(task, learned, design, rng), learned))
         begun = LearnedPolicy(agent, design)
-        before = _gradients(problem, begun, rng, SETTLING_RUNS // 2) if task.pathwise else None
+        checked = task.pathwise and not self.continued
+        before = _gradients(problem, begun, rng, SETTLING_RUNS // 2) if checked else None
         ascents = race(agents, start_designs(task, design, found), rng, progress=progress)
         result = replace(_result(ascents, given, design, found), first_policy_gradients=before)
         if known.measurement is None:
@@ -152,7 +157,7 @@ class Learned:
 
     def following(self, agent: ActorCritic) -> Learned:
         """Method that goes on from an agent."""
-        return replace(self, agent=agent)
+        return replace(self, agent=agent, continued=True)
 
     def instead(self, result: CoDesignResult, problem: CoDesignProblem) -> Learned | None:
         """What goes on from a climb that led to no optimum of the policy; else None.
