@@ -1,4 +1,4 @@
-"""Run of a study on sensors: generations by fits, then all that was in service on fresh drives."""
+"""Run of a study on sensors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ccdtools.twin.plant_fit import PlantFit
 
 @dataclass(frozen=True, eq=False)
 class FittedRun:
-    """Run of such a study in a folder; what is finished there is read."""
+    """Run of a study on sensors in a folder."""
 
     study: OnSensors
     config: StudyConfig
@@ -115,7 +115,7 @@ class FittedRun:
         return self.folder.read_stage(name)
 
     def _initialised(self) -> Stage:
-        """Policy that imitates the expert of the study on the state."""
+        """Policy that imitates the study's expert."""
         rng = np.random.default_rng([self.seed, 0])
         found = imitated_at(self.study.problem(), self.study, self.config, rng, progress=self.progress)
         return Stage(networks={"agent": found.agent})
@@ -124,7 +124,10 @@ class FittedRun:
 def _stage_of(
     computed: Callable[[np.random.Generator], FittedGeneration], rng: np.random.Generator, known: Array
 ) -> Stage:  # fmt: skip
-    """Generation as it is kept; its filter is that of the unknown entries in `known`, or the nominal one."""
+    """Generation as it is kept.
+
+    Its filter is that of the unknown entries in `known`, or the nominal one.
+    """
     one = computed(rng)
     by = None if one.fit is None else "redesign" if one.accepted else "update" if one.update else ""
     fit = one.fit if isinstance(one.fit, PlantFit) else None

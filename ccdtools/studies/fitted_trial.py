@@ -1,4 +1,4 @@
-"""Comparison at the end of a run on sensors: all that was in service, and laws of the field."""
+"""Comparison at the end of a run on sensors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ COST = "cost of a sample"
 
 @dataclass(frozen=True, eq=False)
 class DriveTrial:
-    """Comparison on one drive, the first output (T,) of a run by who drove it, and what is to be known of them."""
+    """Comparison on one drive.
+
+    Beside it the first output (T,) of a run by who drove it, and what is to be known of them.
+    """
 
     trial: Trial
     signals: dict[str, Array]
@@ -59,9 +62,10 @@ def law_runs(
     study: OnSensors, scenarios: Mapping[str, Scenario], designs: Mapping[str, Array], known: Sequence[float] | Array,
     names: Sequence[str],
 ) -> dict[str, dict[Place, Trajectory]]:  # fmt: skip
-    """Runs by drive of laws of a study at each design, made for what is known and behind its filter.
+    """Runs by drive of laws at each design.
 
-    The nominal plant is known, or one of unknown entries (m,). A law that cannot be made at a design is left out.
+    They are made for what is known, and stand behind its filter: the nominal plant, or one of unknown entries (m,). A
+    law that cannot be made at a design is left out.
     """
     sensed = problem_of(study, known)
     state, laws = replace(sensed, measurement=None), {LQG: saturated_lqr, **study.laws}
@@ -80,7 +84,10 @@ def law_runs(
 def service_runs(
     study: OnSensors, scenarios: Mapping[str, Scenario], stages: Mapping[str, Stage]
 ) -> dict[str, dict[Place, Trajectory]]:  # fmt: skip
-    """Runs by drive of what was in service, and of what was before a redesign behind the filter that came with it."""
+    """Runs by drive of what was in service.
+
+    Of a redesign also of what was before it, behind the filter that came with it.
+    """
     tried, before = dict[Place, Any](), None
     for name, stage in stages.items():
         if before is not None and stage.values["by"] == "redesign":
@@ -100,7 +107,10 @@ def service_runs(
 def compared(
     study: OnSensors, drive: Any, stages: Mapping[str, Stage], driven: Mapping[Place, Trajectory]
 ) -> DriveTrial:  # fmt: skip
-    """What was in service, step by step, and beside every law at its best, on common runs of one drive."""
+    """Comparison on common runs of one drive.
+
+    What was in service stands step by step, and beside every law at its best.
+    """
     first, *later = stages
     last, base = [first, *later][-1], study.expert if study.expert in study.laws else LQG
     begun = START, base
@@ -133,7 +143,10 @@ def compared(
 
 
 def _at_their_best(study: OnSensors, driven: Mapping[Place, Trajectory]) -> Iterator[Place]:
-    """Place of each law that loses least, and of these costs least on the runs that all of them keep."""
+    """Best place of each law.
+
+    It loses least, and of those that do costs least on the runs that all of them keep.
+    """
     for law in (LQG, *study.laws):
         places = [at for at in driven if at[1] in (law, law + TOLD)]
         fewest = min((int(driven[at].diverged.sum()) for at in places), default=0)
@@ -145,7 +158,7 @@ def _at_their_best(study: OnSensors, driven: Mapping[Place, Trajectory]) -> Iter
 
 
 def _notes(drive: Any, ends: Mapping[str, Trajectory]) -> Iterator[str]:
-    """What is to be known of the runs of a drive."""
+    """Notes on the runs of a drive."""
     if is_recorded(drive):
         yield "It is a recording, which generations may have met: its intervals hold the noise of the sensors alone."
     for who, run in ends.items():
@@ -168,7 +181,10 @@ def _made(name: str, make: Any, problem: CoDesignProblem, p: Array) -> Any:
 
 
 def problem_of(study: OnSensors, known: Sequence[float] | Array) -> CoDesignProblem:
-    """Problem on the nominal plant, or on one of unknown entries (m,)."""
+    """Problem on the plant that is known.
+
+    It is nominal, or has these unknown entries (m,).
+    """
     if not len(known):
         return study.sensed
     assert study.unknown is not None
@@ -177,7 +193,7 @@ def problem_of(study: OnSensors, known: Sequence[float] | Array) -> CoDesignProb
 
 @dataclass(frozen=True)
 class _Measured:
-    """Metrics of a study, after the cost of a sample."""
+    """Cost of a sample, and metrics of a study."""
 
     objective: Objective
     metrics: Metrics | None

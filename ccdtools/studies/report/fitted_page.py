@@ -1,4 +1,4 @@
-"""Sentences, tables, picture and page of a run on sensors."""
+"""Page of a run on sensors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ ALL, BESIDE = "all up to ", "all, for "  # begin changes from the start, and fro
 def write_fitted(
     study: OnSensors, stages: Mapping[str, Stage], trials: Mapping[str, DriveTrial], folder: RunFolder, *, quick: bool
 ) -> tuple[str, Path]:  # fmt: skip
-    """Write gains.csv, generations.png and report.html; return what is printed, and the page's path."""
+    """Write the page of a run.
+
+    gains.csv and generations.png come with report.html; what is printed, and the page's path, are returned.
+    """
     costs = {use: {what: rows[0] for what, rows in one.trial[1].items() if rows} for use, one in trials.items()}
     said = [_headline(use, costs[use], one) for use, one in trials.items()]
     designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
@@ -46,7 +49,7 @@ def write_fitted(
 
 
 def _headline(use: str, changes: Mapping[str, MetricChange], one: DriveTrial) -> str:
-    """Change of the cost on one drive, and what it is made of."""
+    """Change of the cost, and its parts."""
     whole = [change for what, change in changes.items() if what.startswith(ALL)]
     start, *_, end = *one.signals, *one.signals
     said = [
@@ -76,7 +79,7 @@ def _told(stages: Mapping[str, Stage]) -> list[Table]:
 
 
 def _estimate(value: float, deviation: float | None, status: str) -> tuple[str, str]:
-    """Value and its deviation, as far as a fit tells them."""
+    """Value and deviation in words."""
     if status == "UNSOLVED":
         return "n/a", "n/a"
     return number(value), "at a bound" if deviation == 0 else number(deviation)
@@ -86,7 +89,10 @@ def plot_fitted(
     study: OnSensors, costs: Mapping[str, Mapping[str, MetricChange]], signals: Mapping[str, Mapping[str, Array]], *,
     quick: bool = False,
 ) -> Any:  # fmt: skip
-    """Plot the cost of every drive, step by step, and the first output on one, as a matplotlib Figure."""
+    """Plot costs step by step, as a matplotlib Figure.
+
+    Beside them stands the first output on one drive.
+    """
     with style.styled():
         figure = style.blank(11.0, 3.8, quick=quick)
         left, right = figure.subplots(1, 2)
