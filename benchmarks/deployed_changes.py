@@ -217,7 +217,8 @@ def rows(folder: Path, runs: int, seed: int) -> Iterator[tuple[str, ...]]:
             kept = ~(lost | lost_before)
             difference, half = in_pairs(100 * (own - other)[kept] / abs(other[kept].mean()))
             back, chance = in_pairs((deep - deeper)[kept])
-            word = "less return, nearer to X" if back + chance < 0 else "**worse**"
+            nearer = back + chance < 0 and lost.sum() <= lost_before.sum()
+            word = "less return, nearer to X" if nearer else "**worse**"
             worse = difference + half < -TOLERANCE or lost.sum() > lost_before.sum()
             yield (folder.name, name, place, f"{difference:+.2f} ± {half:.2f}", f"{lost.sum()} / {lost_before.sum()}",
                    f"{deep[kept].mean():.3f} / {deeper[kept].mean():.3f}", word if worse else "")  # fmt: skip

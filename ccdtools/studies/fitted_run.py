@@ -64,7 +64,9 @@ class FittedRun:
             others = begun(law_runs, *given, told[1::2])[1]  # half of them, in the other process
             found = [service_runs(study, scenarios, stages), law_runs(*given, told[::2]), laws(), others()]
         driven = {use: {at: run for part in found for at, run in part[use].items()} for use in drives}
-        return stages, {use: compared(study, drive, stages, driven[use]) for use, drive in drives.items()}
+        return stages, {
+            use: compared(study, self.config.expert, drive, stages, driven[use]) for use, drive in drives.items()
+        }
 
     def _fresh(self, use: str, drive: Any) -> Scenario:
         """Runs of one drive that no generation meets."""
@@ -99,8 +101,9 @@ class FittedRun:
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         try:
             self.folder.save_policy(found[-1].controller, notes)
-        except InputError:  # its filter is no expression
-            self.folder.save_policy(found[-1].controller.controller, notes)
+        except InputError as error:  # its filter is no expression
+            self.echo(f"The policy is kept without its filter: {error}")
+            self.folder.save_policy(found[-1].controller.controller, notes | {"filter": "none"})
 
     @property
     def _runs(self) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -73,11 +72,13 @@ def law_runs(
     for at, p in designs.items():
         estimator = estimator_at(sensed, p)
         for name in names:
-            with suppress(MPCError):
+            try:
                 law = Observed(_made(name, laws[name], state, p), estimator)
-                for use, scenario in scenarios.items():
-                    run = scenario.run(law, design=p, limit=sensed.limit)
-                    found[use][at, f"{name}{TOLD if len(known) else ''}"] = run
+            except MPCError:
+                continue
+            for use, scenario in scenarios.items():
+                run = scenario.run(law, design=p, limit=sensed.limit)
+                found[use][at, f"{name}{TOLD if len(known) else ''}"] = run
     return found
 
 
@@ -105,14 +106,14 @@ def service_runs(
 
 
 def compared(
-    study: OnSensors, drive: Any, stages: Mapping[str, Stage], driven: Mapping[Place, Trajectory]
+    study: OnSensors, expert: str, drive: Any, stages: Mapping[str, Stage], driven: Mapping[Place, Trajectory]
 ) -> DriveTrial:  # fmt: skip
     """Comparison on common runs of one drive.
 
     What was in service stands step by step, and beside every law at its best.
     """
     first, *later = stages
-    last, base = [first, *later][-1], study.expert if study.expert in study.laws else LQG
+    last, base = [first, *later][-1], expert if expert in study.laws else LQG
     begun = START, base
     places: dict[str, Place] = {"start": begun, "design": (first, base), "policy": (first, "learned")}
     before = stages[first]
@@ -121,16 +122,15 @@ def compared(
         if by == "redesign":  # the filter that came with it has a step of its own
             places[f"{name}: filter of the fit"] = name, "former policy"
             same = np.array_equal(before.arrays["design"], stage.arrays["design"])
-            places[f"{name}: {'policy learned on' if same else 'redesign'}"] = name, "learned"
+            places[f"{name}: {'policy that went on learning' if same else 'redesign'}"] = name, "learned"
         elif by:
             places[f"{name}: filter of the fit"] = name, "learned"
         before = stage
     metrics = _Measured(study.objective, study.metrics)
     pairs = dict(zip([*places][1:], pairwise(places.values())))
     pairs |= {f"all up to {what}": (begun, at) for what, at in [*places.items()][2:]}
-    pairs |= {
-        f"all, for {law[1]} at its best: {law[0]}": (law, (last, "learned")) for law in _at_their_best(study, driven)
-    }
+    best = {f"{law[1]} at its best: {law[0]}": law for law in _at_their_best(study, driven)}
+    pairs |= {f"all, for {name}": (law, (last, "learned")) for name, law in best.items()}
     changes = {
         what: metric_changes(metrics, driven[one], driven[two]) if one in driven and two in driven else ()
         for what, (one, two) in pairs.items()
@@ -138,7 +138,9 @@ def compared(
     values = {at: (metrics_of(metrics, run), int(run.diverged.sum())) for at, run in driven.items()}
     ends = {f"{base} at the start": begun, "in service at the end": (last, "learned")}
     shown = {who: np.asarray(driven[at].outputs)[0, :, 0] for who, at in ends.items() if at in driven}
-    notes = tuple(_notes(drive, {who: driven[at] for who, at in ends.items() if at in driven}))
+    named = {**ends, **{f"{what}, what it ends with,": at for what, at in places.items()}, **best}
+    told = {at: who for who, at in reversed(named.items()) if at in driven}  # once each
+    notes = tuple(_notes(drive, {who: driven[at] for at, who in reversed(told.items())}))
     return DriveTrial((values, changes), shown, notes)
 
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from ccdtools.arrays import ArrayField
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import MEAN
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE
 from ccdtools.studies.study import Study
-from ccdtools_ground.door import as_vector, shown
+from ccdtools_ground.door import as_count, as_vector, shown
 
 LQG = "LQG"  # a baseline of every run
 
@@ -25,8 +26,9 @@ class OnSensors(Study):
 
     Its generations go by fits, see `fitted_generations`: a policy learned on the state of the model is deployed behind
     the filter of the model, outputs and inputs are logged, `unknown` is fitted to them, and what the fit changes, first
-    the filter and then policy and design, is tried on the real plant: in 120 runs of each drive, or as many as
-    `StudyConfig.real_runs`, and in as many fresh ones at the end beside laws of the field.
+    the filter and then policy and design, is tried on the real plant, in the mean of its returns: in as many runs of
+    each drive as `StudyConfig.real_runs` says, 120 at most, a fifth of that in the quick form, and in as many fresh
+    ones at the end, beside laws of the field.
 
     Attributes
     ----------
@@ -59,14 +61,14 @@ class OnSensors(Study):
             raise InputError("laws", f"the name {LQG!r}", "another: it is a baseline of every such run")
         plain = {"real.later": (self.real.later, ()), "filter": (self.filter, "none"),
                  "redesign_cost": (self.redesign_cost, None), "redesign_price": (self.redesign_price, DEFAULT_PRICE),
-                 "accept_loss": (self.accept_loss, ACCEPTED_LOSS)}  # fmt: skip
+                 "accept_loss": (self.accept_loss, ACCEPTED_LOSS), "risk": (self.risk, MEAN),
+                 "quantile_weight": (self.quantile_weight, None)}  # fmt: skip
         for name, (got, usual) in plain.items():
             if got != usual:
                 raise InputError(
                     name, shown(got), f"{usual!r}: a run {self.runs_so.removeprefix('whose ')} uses no other"
                 )
-        if self.settings.get("real_runs", 2) < 2:
-            raise InputError("settings", f"real_runs = {self.settings['real_runs']}", "2 and more, for an interval")
+        as_count("settings['real_runs']", self.settings.get("real_runs", 2), least=2)
         from ccdtools.studies.by_fit import FittedLoop  # learning is loaded where it is asked for
 
         FittedLoop(self.sensed, self.real, self.unknown)

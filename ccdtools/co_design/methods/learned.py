@@ -76,7 +76,7 @@ class Learned:
         imitation reaches, such as the use of a wall. One is taken, too, where LQR does nothing at the first design, as
         of a damper whose damping is the input, and where `codesign` goes on from a climb.
     continued : bool
-        Whether the agent was handed out by a former co-design, at whose end its gradient was looked at.
+        Whether the agent was handed out by a former co-design: its gradient is not looked at before it moves.
     """
 
     by: str = "pathwise"

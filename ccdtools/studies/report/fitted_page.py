@@ -31,8 +31,10 @@ def write_fitted(
 
     gains.csv and generations.png come with report.html; what is printed, and the page's path, are returned.
     """
-    costs = {use: {what: rows[0] for what, rows in one.trial[1].items() if rows} for use, one in trials.items()}
-    said = [_headline(use, costs[use], one) for use, one in trials.items()]
+    costs = {
+        use: {what: rows[0] if rows else None for what, rows in one.trial[1].items()} for use, one in trials.items()
+    }
+    said = [_headline(use, one) for use, one in trials.items()]
     designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
     designs += [
         f"{name}: {study.plant.design.describe(stage.arrays['design'])}; {stage.values['report'][0]}"
@@ -48,22 +50,23 @@ def write_fitted(
     return "\n\n".join(["\n".join([*said, *designs]), *map(str, tables)]), page
 
 
-def _headline(use: str, changes: Mapping[str, MetricChange], one: DriveTrial) -> str:
+def _headline(use: str, one: DriveTrial) -> str:
     """Change of the cost, and its parts."""
-    whole = [change for what, change in changes.items() if what.startswith(ALL)]
+    changes = {what: rows[0] if rows else None for what, rows in one.trial[1].items()}
+    whole = [change for what, change in changes.items() if what.startswith(ALL)][-1]
     start, *_, end = *one.signals, *one.signals
-    said = [
-        f"{use}: what is {end} costs {_percent(whole[-1])} beside {start}." if whole else f"{use}: no run to compare."
-    ]
+    said = [f"{use}: what is {end} costs {_percent(whole)} beside {start}." if whole else f"{use}: no run to compare."]
     steps = [f"{what} {_percent(change)}" for what, change in changes.items() if not what.startswith(("all,", ALL))]
     laws = [f"{what.removeprefix(BESIDE)} {_percent(change)}" for what, change in changes.items() if what[:4] == "all,"]
-    said += [f"In turn: {'; '.join(steps)}."] * bool(steps)
-    said += [f"Beside each law at the best of its designs: {'; '.join(laws)}."] * bool(laws)
+    said += [f"In turn: {'; '.join(steps)}."] * (whole is not None)
+    said += [f"Beside each law at the best of its designs: {'; '.join(laws)}."] * (whole is not None)
     return " ".join([*said, *one.notes])
 
 
-def _percent(one: MetricChange) -> str:
-    """Change with its interval."""
+def _percent(one: MetricChange | None) -> str:
+    """Change with its interval; "n/a" where no run was kept by both."""
+    if one is None:
+        return "n/a"
     return percent_interval(one.change.mean, one.change.ci95, one.before)
 
 
@@ -86,8 +89,8 @@ def _estimate(value: float, deviation: float | None, status: str) -> tuple[str, 
 
 
 def plot_fitted(
-    study: OnSensors, costs: Mapping[str, Mapping[str, MetricChange]], signals: Mapping[str, Mapping[str, Array]], *,
-    quick: bool = False,
+    study: OnSensors, costs: Mapping[str, Mapping[str, MetricChange | None]],
+    signals: Mapping[str, Mapping[str, Array]], *, quick: bool = False,
 ) -> Any:  # fmt: skip
     """Plot costs step by step, as a matplotlib Figure.
 
@@ -97,7 +100,8 @@ def plot_fitted(
         figure = style.blank(11.0, 3.8, quick=quick)
         left, right = figure.subplots(1, 2)
         steps = {use: _from_start(changes) for use, changes in costs.items()}
-        names = list(dict.fromkeys(name for known in steps.values() for name in known))
+        every = next(iter(costs.values()))
+        names = ["design", *(what.removeprefix(ALL) for what in every if what.startswith(ALL))]
         for place, (use, known) in enumerate(steps.items()):
             ends = np.full((1 + len(names), 3), np.nan)  # NaN where no run was kept by both
             ends[0] = 0.0
@@ -121,10 +125,10 @@ def plot_fitted(
     return figure
 
 
-def _from_start(changes: Mapping[str, MetricChange]) -> dict[str, MetricChange]:
+def _from_start(changes: Mapping[str, MetricChange | None]) -> dict[str, MetricChange]:
     """Changes from the start, by the last step."""
-    found = {what: one for what, one in changes.items() if what == "design"}
-    return found | {what.removeprefix(ALL): one for what, one in changes.items() if what.startswith(ALL)}
+    whole = {what.removeprefix(ALL): one for what, one in changes.items() if what.startswith((ALL, "design"))}
+    return {what: one for what, one in whole.items() if one is not None}
 
 
 def _plain(text: str) -> str:

@@ -16,14 +16,18 @@ from ccdtools import (
     RealPlant,
     discretise,
 )
-from ccdtools.studies.by_fit import _Deployments
+from ccdtools.comparison.metrics import MetricChange
+from ccdtools.statistics import PairedDifference
+from ccdtools.studies.by_fit import FittedLoop
+from ccdtools.studies.fitted_trial import DriveTrial
+from ccdtools.studies.report.fitted_page import _headline
 from ccdtools.trajectory import Trajectory
 
 RUNS, STEPS = 40, 50
 
 
 @dataclass(frozen=True)
-class Given(_Deployments):
+class Given(FittedLoop):
     """Deployments whose runs are those of the law itself."""
 
     def run(self, one, scenario):
@@ -62,6 +66,15 @@ def test_a_redesign_serves_where_common_runs_or_what_it_saves_show_it_no_worse(
     )  # fmt: skip
     real = RealPlant(plant, Gaussian([0.3]), [1.0], RUNS, STEPS)
     redesign, former = (runs(at, np.isin(np.arange(RUNS), list(lost))) for at, lost in ((level, after), (2.0, before)))
-    served, measured = Given(problem, real, None).trial(former, None, redesign, 0, doubtful)
+    served, measured = Given(problem, real).trial(former, None, redesign, 0, doubtful)
     assert (served is redesign) == deployed
     assert measured["lost"] == (len(after), len(before))
+
+
+def test_a_last_generation_that_is_lost_is_not_told_by_the_step_before():
+    one = MetricChange("cost of a sample", 2.0, 1.0, PairedDifference(-1.0, (-1.1, -0.9)), "better")
+    changes = {"design": (one,), "policy": (one,), "generation 2: filter of the fit": (), "all up to policy": (one,),
+               "all up to generation 2: filter of the fit": ()}  # fmt: skip
+    y = np.zeros(3)
+    trial = DriveTrial(({}, changes), {"LQG at the start": y, "in service at the end": y}, ("It lost 6 of 6 runs.",))
+    assert _headline("road", trial) == "road: no run to compare. It lost 6 of 6 runs."
