@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -69,12 +69,12 @@ class FittedRun:
         }
 
     def _fresh(self, use: str, drive: Any) -> Scenario:
-        """Runs of one drive that no generation meets."""
+        """Runs of one drive, drawn for the comparison."""
         rng, real = np.random.default_rng([self.seed, 1, *use.encode()]), self.study.real
         x0, w = np.tile(real.x0, (self._runs, 1)), drive.sample(self._runs, real.steps, rng)
         return Scenario(real.plant, x0, w, output=self._loop.sensors, seed=int(rng.integers(2**31)))
 
-    @property
+    @cached_property
     def _loop(self) -> FittedLoop:
         """Generations on the real plant."""
         return FittedLoop(self.study.sensed, self.study.real, self.study.unknown, draws=8, trial_runs=self._runs)
