@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
@@ -139,15 +139,16 @@ class Delivery:
 
 
 def measured(
-    pairing: Pairing, candidate: Deployable, deployed: Deployed, current: Deployable, former: Deployed, asked: Asked,
-    limits: Limits | None = None,
+    pairing: Pairing, candidates: Sequence[Deployable], deployed: Deployed, current: Deployable, former: Deployed,
+    asked: Asked, limits: Limits | None = None,
 ) -> Evidence | None:  # fmt: skip
-    """Comparison of two policies on samples with equal disturbances; None without any.
+    """Comparison of policies with one on samples with equal disturbances; None without any.
 
-    Of several runs these are common runs, of a single one the same stretch of time.
+    Of several runs these are common runs, of a single one the same stretch of time. Of several candidates it is all
+    that was driven from the first to the last.
     """
-    one, other = deployed.stretch(candidate), former.stretch(current)
-    first, last = max(one[0], other[0]), min(one[1], other[1])
+    spans, other = [deployed.stretch(one) for one in candidates], former.stretch(current)
+    first, last = max(min(spans)[0], other[0]), min(max(spans)[1], other[1])
     runs, steps = deployed.log.inputs.shape[:2]
     if last <= first or deployed.log.inputs.shape != former.log.inputs.shape:
         return None
@@ -155,8 +156,8 @@ def measured(
     if not len(after.states) or not np.array_equal(after.disturbances, before.disturbances):
         return None
     where = f"steps {first} to {last}" if runs == 1 else f"runs {-(-first // steps) + 1} to {last // steps}"
-    names = tuple(f"{policy.name} in deployment {of.generation}, {where}"
-                  for policy, of in ((candidate, deployed), (current, former)))  # fmt: skip
+    names = tuple(f"{' and '.join(policy.name for policy in some)} in deployment {of.generation}, {where}"
+                  for some, of in ((candidates, deployed), ([current], former)))  # fmt: skip
     found = pairing.evidence(after, before, names=names, distribution=DEPLOYMENT, asked=asked, series=runs == 1)  # type: ignore[arg-type]
     return found if limits is None else replace(found, violation=limits(after, before))
 
@@ -168,9 +169,10 @@ def judge_deployment(
 ) -> Delivery:  # fmt: skip
     """Whether a deployment stays, compared with the one before.
 
-    It stays if its return is not worse beyond chance; where a redesign was deployed, which must bring something, or
-    where there is no interval, if it is no loss in the mean either. It must lose no more runs, and leave the limits no
-    further than the tolerance.
+    It stays if the return of all that was new in it is not worse beyond chance; where a redesign was deployed, which
+    must bring something, or where there is no interval, if it is no loss in the mean either. It must lose no more runs,
+    and leave the limits no further than the tolerance. Where updates followed a redesign, what they led to may be no
+    worse beyond chance by itself.
 
     Parameters
     ----------
@@ -199,9 +201,9 @@ def judge_deployment(
     reference = former.designed if carried else current
     changed = [deployed.designed] + [deployed.after] * (not deployed.after.same_as(deployed.designed))
     candidates = [one for one in changed if not one.same_as(reference)]
-    candidates.sort(key=lambda one: deployed.stretch(one)[0] - deployed.stretch(one)[1])  # the longest stretch first
     asked = Asked.NO_LOSS if redesigned else Asked.NO_SURE_LOSS
-    found = [measured(pairing, one, deployed, reference, former, asked, limits) for one in candidates]
+    spans = [candidates] * bool(candidates) + [candidates[1:]] * (len(candidates) > 1)
+    found = [measured(pairing, some, deployed, reference, former, asked, limits) for some in spans]
     evidence = [] if other_plant else [one for one in found if one is not None]
     for k, one in enumerate(evidence[1:], 1):
         sure = np.isfinite(one.gain.ci95).all()

@@ -40,7 +40,7 @@ def test_what_is_worse_on_the_real_plant_goes_out_of_service(monkeypatch):
         return found if options["design"] is None else SimpleNamespace(design=found.design, controller=Passive(1))
 
     monkeypatch.setattr(by_fit, "codesign", passive_at_last)
-    monkeypatch.setattr(by_fit, "_predicted", lambda *_: PairedDifference(1.0, (0.5, 1.5)))
+    monkeypatch.setattr(by_fit.FittedLoop, "_predicted", lambda *_: PairedDifference(1.0, (0.5, 1.5)))
     first, second = fitted_generations(
         problem, RealPlant(plant, Gaussian([0.3]), [1.0, 0.0], 40, 50), method=Nested("lqg", starts=1),
         rng=np.random.default_rng(0), noise="known",

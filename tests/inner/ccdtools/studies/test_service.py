@@ -116,11 +116,39 @@ def test_of_one_run_the_same_steps_are_compared():
     assert found.gain.mean == pytest.approx(-(1.01**2 - 1) * np.square(x[0, 1501:]).sum())
 
 
+def test_a_redesign_that_is_updated_on_the_way_is_judged_by_its_whole_deployment():
+    """A loss within chance in the first stretch, of 40 runs, and a gain in the second."""
+    rng = np.random.default_rng(0)
+    noise = np.where(np.arange(RUNS) // 2 % 2, 1, -1)  # of every second run, half each
+    before, base = np.arange(RUNS) < 40, 1 + 0.1 * rng.random(RUNS)
+
+    def deployed(change, then):
+        cost = base * (1 + np.where(before, change, then) + 0.02 * noise)
+        return second(log(cost, spread=0), changes=(40 * STEPS,)), first(log(base, spread=0))
+
+    def delivery(change, then):
+        return judged(*deployed(change, then))
+
+    later, former = deployed(0.004, -0.02)
+    alone = measured(PAIRING, [B], later, A, former, Asked.NO_LOSS)
+    assert alone.gain.mean < 0 < alone.gain.ci95[1]
+    kept = judged(later, former)
+    whole, after = kept.verdict.evidence
+    assert kept.replaces
+    assert whole.candidate == "B and B updated in deployment 2, runs 1 to 60"
+    assert after.candidate == "B updated in deployment 2, runs 41 to 60"
+    assert after.gain.mean > whole.gain.mean > 0
+    assert delivery(0.02, 0.0).verdict.status is Status.WORSE
+    harmed = delivery(-0.06, 0.05)
+    assert harmed.verdict.evidence[0].gain.mean > 0
+    assert harmed.verdict.status is Status.WORSE  # what would stay is the update
+
+
 def test_policies_that_never_met_the_same_disturbance_are_not_compared():
     former = first(log(), changes=(30 * STEPS,))
-    assert measured(PAIRING, B, second(log(), changes=(20 * STEPS,)), AFTER, former, Asked.NO_LOSS) is None
-    assert measured(PAIRING, B, second(log(disturbance_seed=1)), A, first(log()), Asked.NO_LOSS) is None
-    assert measured(PAIRING, policy("C", 9), second(log()), A, first(log()), Asked.NO_LOSS) is None
+    assert measured(PAIRING, [B], second(log(), changes=(20 * STEPS,)), AFTER, former, Asked.NO_LOSS) is None
+    assert measured(PAIRING, [B], second(log(disturbance_seed=1)), A, first(log()), Asked.NO_LOSS) is None
+    assert measured(PAIRING, [policy("C", 9)], second(log()), A, first(log()), Asked.NO_LOSS) is None
 
 
 def test_updates_of_the_former_deployment_are_measured_by_the_next_and_rolled_back_where_they_hurt():
