@@ -318,12 +318,12 @@ def configured(budget: Budget, study: Study, preset: str = "default") -> StudyCo
 
 
 def all_tasks(path: Path, budget: Budget) -> list[Task]:
-    """Every task of a reproduction, seed after seed."""
+    """Every task of a reproduction, the long ones first."""
     folder = RunFolder(path)
     own = [
         Task(folder, budget, case, kind, seed)
-        for seed in range(budget.seeds)
         for kind in ("loop", "paper")
+        for seed in range(budget.seeds)
         for case in CASES[::-1]
     ]
     common = [Task(folder, budget, case, "reference") for case in CASES]
