@@ -12,7 +12,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.methods.learned import Learned
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.jobs import beside
 from ccdtools.scenario import Scenario
 from ccdtools.studies.budgets import TRIAL_RUNS
@@ -25,6 +25,7 @@ from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import START
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.twin.plant_fit import PlantFit
+from mpc import MPCError
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +54,9 @@ class FittedRun:
                 if not stages:
                     if nested is not None:
                         self._stage("nested-lqr", "Nested LQR of the model, as a baseline", nested[1])
-                    best = self.folder.read_stage("nested-lqr").arrays["design"]
-                    designs = {START: study.p0, NESTED: best, name: stage.arrays["design"]}
+                    best = self.folder.read_stage("nested-lqr").arrays
+                    nominal = {NESTED: best["design"]} if "design" in best else {}
+                    designs = {START: study.p0, **nominal, name: stage.arrays["design"]}
                     laws = begun(law_runs, study, scenarios, designs, (), names)[1]
                 stages[name] = stage
             self.echo("Comparison on the real plant")
@@ -144,6 +146,10 @@ def _stage_of(
 
 
 def _nested(study: OnSensors, seed: int) -> Stage:
-    """Design of nested LQR."""
-    found = codesign(study.problem(), method="nested", design=study.p0, rng=np.random.default_rng([seed, *b"nested"]))
+    """Design of nested LQR, or why there is none."""
+    rng = np.random.default_rng([seed, *b"nested"])
+    try:
+        found = codesign(study.problem(), method="nested", design=study.p0, rng=rng)
+    except (CCDError, MPCError) as error:
+        return Stage({"report": [str(error)]})
     return Stage(arrays={"design": found.design})

@@ -140,8 +140,8 @@ def compared(
     shown = {who: np.asarray(driven[at].outputs)[0, :, 0] for who, at in ends.items() if at in driven}
     named = {**ends, **{f"{what}, what it ends with,": at for what, at in places.items()}, **best}
     told = {at: who for who, at in reversed(named.items()) if at in driven}  # once each
-    notes = tuple(_notes(drive, {who: driven[at] for at, who in reversed(told.items())}))
-    return DriveTrial((values, changes), shown, notes)
+    notes = _notes(drive, {who: driven[at] for at, who in reversed(told.items())})
+    return DriveTrial((values, changes), shown, (*notes, *_not_made(study, [first, last], driven)))
 
 
 def _at_their_best(study: OnSensors, driven: Mapping[Place, Trajectory]) -> Iterator[Place]:
@@ -169,6 +169,16 @@ def _notes(drive: Any, ends: Mapping[str, Trajectory]) -> Iterator[str]:
             yield f"{who} lost {int(run.diverged.sum())} of {runs} runs: changes are of runs that neither of both lost."
         if not run.inputs.any():
             yield f"{who} {nothing_done('these drives')}."
+
+
+def _not_made(study: OnSensors, ends: Sequence[str], driven: Mapping[Place, Trajectory]) -> Iterator[str]:
+    """Notes on laws that are missing at a design."""
+    first, last = ends
+    told = any(law.endswith(TOLD) for _, law in driven)
+    for at, of in ((START, ""), (NESTED, ""), (first, ""), *([(last, TOLD)] if told else [])):
+        missing = [law + of for law in (LQG, *study.laws) if (at, law + of) not in driven]
+        if missing:
+            yield f"At {at} there is no {', no '.join(missing)}: it cannot be made there, or the design was not found."
 
 
 def _made(name: str, make: Any, problem: CoDesignProblem, p: Array) -> Any:

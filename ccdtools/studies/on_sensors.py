@@ -18,6 +18,7 @@ from ccdtools.studies.study import Study
 from ccdtools_ground.door import as_count, as_vector, shown
 
 LQG = "LQG"  # a baseline of every run
+UNREAD = ("model_runs", "real_steps", "held_out_runs", "held_out_steps", "drift", "online", "quantile")  # settings
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -63,11 +64,10 @@ class OnSensors(Study):
                  "redesign_cost": (self.redesign_cost, None), "redesign_price": (self.redesign_price, DEFAULT_PRICE),
                  "accept_loss": (self.accept_loss, ACCEPTED_LOSS), "risk": (self.risk, MEAN),
                  "quantile_weight": (self.quantile_weight, None)}  # fmt: skip
+        plain |= {f"settings[{name!r}]": (self.settings.get(name), None) for name in UNREAD}
         for name, (got, usual) in plain.items():
             if got != usual:
-                raise InputError(
-                    name, shown(got), f"{usual!r}: a run {self.runs_so.removeprefix('whose ')} uses no other"
-                )
+                raise InputError(name, shown(got), f"{usual!r}: a run {self.runs_so} uses no other")
         as_count("settings['real_runs']", self.settings.get("real_runs", 2), least=2)
         from ccdtools.studies.by_fit import FittedLoop  # learning is loaded where it is asked for
 

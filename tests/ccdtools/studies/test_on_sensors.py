@@ -122,6 +122,27 @@ def test_a_first_generation_that_loses_all_runs_is_told_in_a_report(spring):
 
 
 @pytest.mark.check
+def test_laws_and_designs_that_cannot_be_made_are_said(spring):
+    spring.write_text(SPRING.replace("noise=[0.1],", "noise=[0.1], laws={'stiff only': stiff_only},").replace(
+        "rough = Gau", """
+from ccdtools.controllers import Passive
+from mpc import NotStabilisableError
+
+def stiff_only(problem, design):
+    if design[0] < 1.5:
+        raise NotStabilisableError("too soft")
+    return Passive(1)
+
+rough = Gau"""))  # fmt: skip
+    out = spring.with_name("out")
+    said = "\n".join(run("run", spring, "--quick", "--output", out))
+    at = [float(RunFolder(out).read_stage(name).arrays["design"][0]) for name in ("nested-lqr", "generation-1")]
+    assert "At start there is no stiff only: " in said
+    assert ("At nested LQR there is no stiff only: " in said) == (at[0] < 1.5)
+    assert "no LQG" not in said
+
+
+@pytest.mark.check
 def test_a_run_goes_on_where_it_stopped_and_in_two_processes_to_the_same_results(spring):
     out, other = spring.with_name("out"), spring.with_name("other")
     whole = run("run", spring, "--quick", "--output", out)
@@ -143,6 +164,7 @@ def test_a_run_goes_on_where_it_stopped_and_in_two_processes_to_the_same_results
         ({"filter": "admissible"}, "filter: got 'admissible'"),
         ({"risk": CVaR(0.1)}, "risk: got"),
         ({"accept_loss": "1 %"}, "accept_loss: got '1 %'"),
+        ({"settings": {"drift": 0.05}}, r"settings\['drift'\]: got 0.05, expected None: a run whose generations go by"),
         ({"settings": {"real_runs": 1}}, r"settings\['real_runs'\]: got 1"),
     ],
 )

@@ -1,6 +1,7 @@
 """What is deployed after a trial, of runs that are given."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -18,10 +19,12 @@ from ccdtools import (
 )
 from ccdtools.comparison.metrics import MetricChange
 from ccdtools.statistics import PairedDifference
+from ccdtools.studies import fitted_run
 from ccdtools.studies.by_fit import FittedLoop
 from ccdtools.studies.fitted_trial import DriveTrial
 from ccdtools.studies.report.fitted_page import _headline
 from ccdtools.trajectory import Trajectory
+from mpc import NotStabilisableError
 
 RUNS, STEPS = 40, 50
 
@@ -78,3 +81,13 @@ def test_a_last_generation_that_is_lost_is_not_told_by_the_step_before():
     y = np.zeros(3)
     trial = DriveTrial(({}, changes), {"LQG at the start": y, "in service at the end": y}, ("It lost 6 of 6 runs.",))
     assert _headline("road", trial) == "road: no run to compare. It lost 6 of 6 runs."
+
+
+def test_a_baseline_that_no_design_has_leaves_a_run_alone(monkeypatch):
+    def none(problem, **options):
+        raise NotStabilisableError("by no design")
+
+    monkeypatch.setattr(fitted_run, "codesign", none)
+    stage = fitted_run._nested(SimpleNamespace(problem=lambda: None, p0=None), 0)
+    assert stage.values["report"] == ["by no design"]
+    assert "design" not in stage.arrays
