@@ -18,12 +18,12 @@ from ccdtools.scenario import Scenario
 from ccdtools.studies.budgets import TRIAL_RUNS
 from ccdtools.studies.by_fit import FittedGeneration, FittedLoop
 from ccdtools.studies.first_policy import imitated_at
-from ccdtools.studies.fitted_trial import LOG, NESTED, DriveTrial, compared, generation_of, law_runs, service_runs
+from ccdtools.studies.fitted_trial import NESTED, DriveTrial, compared, generation_of, law_runs, service_runs
 from ccdtools.studies.on_sensors import LQG, OnSensors
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import START
-from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.stage_storage import Stage, kept_log
 from ccdtools.twin.plant_fit import PlantFit
 from mpc import MPCError
 
@@ -141,8 +141,7 @@ def _stage_of(
         known = fit.values[: len(fit.unknown.free)] if by else known
         told = {"names": fit.names, "values": fit.values, "deviations": fit.deviations, "status": fit.status.name}
         report.append(repr(fit))
-    log = {name: getattr(one.log, name) for name in LOG}
-    return Stage({"report": report, "by": by, "fit": told}, {**log, "known": known}, {"agent": one.agent})
+    return Stage({"report": report, "by": by, "fit": told}, {**kept_log(one.log), "known": known}, {"agent": one.agent})
 
 
 def _nested(study: OnSensors, seed: int) -> Stage:

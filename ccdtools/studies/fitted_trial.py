@@ -25,14 +25,13 @@ from ccdtools.studies.by_fit import FittedGeneration
 from ccdtools.studies.on_sensors import LQG, OnSensors
 from ccdtools.studies.side_by_side import START
 from ccdtools.studies.side_by_side_run import Place, Trial
-from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.stage_storage import Stage, log_of
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.unknown_plant import stated_plant
 from ccdtools_ground.user_functions import stopped
 from mpc import MPCError
 
 NESTED = "nested LQR"  # a design
-LOG = ("states", "inputs", "disturbances", "diverged_at", "design", "outputs")
 TOLD = ", of the fit"  # ends the name of a law that knows what the log told
 COST = "cost of a sample"
 
@@ -52,7 +51,7 @@ class DriveTrial:
 def generation_of(study: OnSensors, kept: Stage) -> FittedGeneration:
     """Generation of a stage, without its fit."""
     design, agent = kept.arrays["design"], kept.networks["agent"]
-    log = Trajectory(**{name: kept.arrays[name] for name in LOG}, dt=study.plant.dt)  # type: ignore[arg-type]
+    log = log_of(kept, study.plant.dt)
     estimator = estimator_at(problem_of(study, kept.arrays["known"]), design)
     return FittedGeneration(design, Observed(LearnedPolicy(agent, design), estimator), log, agent=agent)
 

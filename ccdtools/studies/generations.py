@@ -25,7 +25,7 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.service import after_deployment
-from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.stage_storage import Stage, log_of
 from ccdtools.studies.stages import LoopStages, changes_of, deployable_of, deployed_of, stopped
 from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
@@ -228,7 +228,7 @@ class Generations:
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
             last.served, last.trust, twin,
         )  # fmt: skip
-        log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
+        log = log_of(deployed, self.evaluation.study.plant.dt)
         if deployed.values.get("changed"):  # what was logged before was of another plant
             twin, self._told = DigitalTwin(twin.model, scale=self.evaluation.problem.state_scale), []
         twin, identified = self._identified(generation, log, twin)

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, jsonable as jsonable
+from ccdtools.trajectory import Trajectory
 
 Network = Any
 MANIFEST = "manifest.json"
+LOGGED = ("states", "inputs", "disturbances", "diverged_at", "design", "outputs")  # of a log; outputs of sensors alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,17 @@ class Stage:
     values: dict[str, Any] = field(default_factory=dict)
     arrays: dict[str, Array] = field(default_factory=dict)
     networks: dict[str, Network] = field(default_factory=dict)
+
+
+def kept_log(log: Trajectory) -> dict[str, Array]:
+    """Arrays of a log, for a stage."""
+    return {name: getattr(log, name) for name in LOGGED if getattr(log, name) is not None}
+
+
+def log_of(stage: Stage, dt: float) -> Trajectory:
+    """Log of a stage."""
+    kept: dict[str, Any] = {name: stage.arrays[name] for name in LOGGED if name in stage.arrays}
+    return Trajectory(**kept, dt=dt)
 
 
 def write_stage(folder: Path, stage: Stage, run: str) -> None:

@@ -25,7 +25,7 @@ from ccdtools.studies.names import FORMER, POLICY_ALONE
 from ccdtools.studies.redesign import Redesign, RedesignJudge, described, predicted, same_design
 from ccdtools.studies.redesign_cost import RedesignAction
 from ccdtools.studies.service import Deployed, judge_deployment
-from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.stage_storage import Stage, kept_log
 from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
@@ -39,8 +39,6 @@ from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
-
-LOGGED = ("states", "inputs", "disturbances", "diverged_at", "design")
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +246,7 @@ class LoopStages:
             "report": [sentence, *report, *notes],
         }  # fmt: skip
         drove = {f"update-{k}": one.agent for k, one in enumerate(deployment.updates, 1) if one.changes}
-        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent} | drove)
+        return Stage(values, kept_log(log), {"agent": deployment.agent} | drove)
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""

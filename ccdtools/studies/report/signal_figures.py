@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.evidence.percent import share
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.trajectory import Trajectory
+from ccdtools.studies.stage_storage import log_of
 from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.tolerances import HELD_OUT
@@ -136,8 +135,7 @@ def quantiles(run: FinishedRun) -> list[ReportFigure]:
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
     plant = run.study.plant
-    logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
-    log = residuals(run.study.model, Trajectory(**logged, dt=plant.dt))
+    log = residuals(run.study.model, log_of(run.folder.read_stage(f"deployment-{generation}"), plant.dt))
     network = run.folder.read_stage(f"twin-{generation}").networks["quantiles"]
     total = log.steps
     held_out = max(round(HELD_OUT * total / BLOCKS), 2)

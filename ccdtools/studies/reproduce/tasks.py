@@ -24,7 +24,7 @@ from ccdtools.studies.reproduce.dynamic_program import optimal_return, viable
 from ccdtools.studies.reproduce.paper_figures import SETS_AT
 from ccdtools.studies.reproduce.places import fixed_places, floors, grid, lqr_beside, on_model, paper_designs
 from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.stage_storage import Stage, kept_log, log_of
 from ccdtools.studies.study import Study
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
@@ -35,7 +35,6 @@ from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
-LOGGED = ("states", "inputs", "disturbances", "diverged_at", "design")
 MARGIN = 0.25  # By this part of X the grid of the dynamic program goes beyond it.
 
 
@@ -158,13 +157,11 @@ class Task:
             x0=np.tile(real.x0, (real.runs, 1)), disturbance=evaluation.deployment(1), rng=rng,
             config=replace(evaluation.config.online, window=evaluation.window, quantile=evaluation.config.quantile),
         )  # fmt: skip
-        arrays = {name: getattr(deployment.log, name) for name in LOGGED}
-        return Stage({"accepted": len(deployment.changes)}, arrays, {"agent": deployment.agent})
+        return Stage({"accepted": len(deployment.changes)}, kept_log(deployment.log), {"agent": deployment.agent})
 
     def log(self, logged: Stage) -> Trajectory:
         """Trajectory of a deployment's stage."""
-        kept: dict[str, Any] = {name: logged.arrays[name] for name in LOGGED}
-        return Trajectory(**kept, dt=self.study.plant.dt)
+        return log_of(logged, self.study.plant.dt)
 
     def _learned(self, rng: np.random.Generator, logged: Stage) -> Stage:
         twin = DigitalTwin(self.study.model, scale=self.problem.state_scale).update(
