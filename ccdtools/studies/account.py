@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ccdtools.evidence.percent import number, share, with_minus
 from ccdtools.evidence.verdict import Status, Verdict
 from ccdtools.studies.names import FORMER
-from ccdtools.studies.service import Agreement, Delivery
+from ccdtools.studies.service import UPDATED_SINCE, Agreement, Delivery
 
 if TYPE_CHECKING:
     from ccdtools.studies.redesign import Redesign
@@ -40,10 +40,10 @@ def account(
         clauses = [f"{name} designed {place} on the nominal model", returns]
         consequence = "the policy is as designed"
     elif redesign.accepted:
-        clauses = [f"{name} {redesign.text} and {_measured(delivery)}"]
+        clauses = [f"{name} {redesign.text} and {_measured(delivery, ' with its updates' if accepted else '')}"]
         if not delivery.replaces:
-            why = delivery.verdict.status.value + (f" ({delivery.breach})" if delivery.breach else "")
-            clauses.append(f"{why}, so design and policy of generation {delivery.former} stay deployed")
+            stay = f"design and policy of generation {delivery.former} stay deployed"
+            clauses.append(f"{_fell_short(delivery)}, so {stay}")
         consequence = "none of it is due to updates"
     else:
         clauses = [f"{name} {_without_redesign(delivery, accepted)}: {redesign.text}"]
@@ -79,11 +79,19 @@ def region_line(region: Mapping[str, Any]) -> str:
     return f"redesign limited to ±{share(region['radius'])} of the box around what is deployed: {region['text']}"
 
 
-def _measured(delivery: Delivery) -> str:
+def _measured(delivery: Delivery, what: str = "") -> str:
     """Clause on a deployment beside the one before."""
     if delivery.verdict.status is Status.NOT_COMPARED:
         return f"not compared with generation {delivery.former}, {delivery.verdict.reason}"
-    return f"measured {delivery.verdict.percent} against generation {delivery.former}"
+    return f"measured{what} {delivery.verdict.percent} against generation {delivery.former}"
+
+
+def _fell_short(delivery: Delivery) -> str:
+    """Clause on why a deployment is rolled back; with its numbers where these are of a part of it."""
+    verdict = delivery.verdict
+    if delivery.breach:
+        return f"{verdict.status.value} ({delivery.breach})"
+    return str(verdict) if UPDATED_SINCE in verdict.reason else verdict.status.value
 
 
 def _without_redesign(delivery: Delivery, accepted: int) -> str:

@@ -20,6 +20,7 @@ from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.residuals import is_common
 
 DEPLOYMENT = "the deployment"
+UPDATED_SINCE = "the deployment since its last update"
 
 Limits = Callable[[Trajectory, Trajectory], Violation | None]
 
@@ -147,17 +148,21 @@ def measured(
     Of several runs these are common runs, of a single one the same stretch of time. Of several candidates it is all
     that was driven from the first to the last.
     """
-    spans, other = [deployed.stretch(one) for one in candidates], former.stretch(current)
-    first, last = max(min(spans)[0], other[0]), min(max(spans)[1], other[1])
+    other = former.stretch(current)
+    met = [one for one in candidates if _overlap(deployed.stretch(one), other)]
+    if not met:
+        return None
+    spans = [deployed.stretch(one) for one in met]
+    first, last = _overlap((min(spans)[0], max(spans)[1]), other)
     runs, steps = deployed.log.inputs.shape[:2]
-    if last <= first or deployed.log.inputs.shape != former.log.inputs.shape:
+    if deployed.log.inputs.shape != former.log.inputs.shape:
         return None
     after, before = (one.part(first, last, common=True) for one in (deployed, former))
     if not len(after.states) or not np.array_equal(after.disturbances, before.disturbances):
         return None
     where = f"steps {first} to {last}" if runs == 1 else f"runs {-(-first // steps) + 1} to {last // steps}"
     names = tuple(f"{' and '.join(policy.name for policy in some)} in deployment {of.generation}, {where}"
-                  for some, of in ((candidates, deployed), ([current], former)))  # fmt: skip
+                  for some, of in ((met, deployed), ([current], former)))  # fmt: skip
     found = pairing.evidence(after, before, names=names, distribution=DEPLOYMENT, asked=asked, series=runs == 1)  # type: ignore[arg-type]
     return found if limits is None else replace(found, violation=limits(after, before))
 
@@ -202,17 +207,25 @@ def judge_deployment(
     changed = [deployed.designed] + [deployed.after] * (not deployed.after.same_as(deployed.designed))
     candidates = [one for one in changed if not one.same_as(reference)]
     asked = Asked.NO_LOSS if redesigned else Asked.NO_SURE_LOSS
-    spans = [candidates] * bool(candidates) + [candidates[1:]] * (len(candidates) > 1)
-    found = [measured(pairing, some, deployed, reference, former, asked, limits) for some in spans]
-    evidence = [] if other_plant else [one for one in found if one is not None]
-    for k, one in enumerate(evidence[1:], 1):
-        sure = np.isfinite(one.gain.ci95).all()
-        evidence[k] = replace(one, asked=Asked.NO_SURE_LOSS if sure else Asked.SHOWN)
+    evidence: list[Evidence] = []
+    for some in [] if other_plant else [candidates, candidates[1:]]:
+        found = measured(pairing, some, deployed, reference, former, asked, limits)
+        if found is not None and not evidence:
+            evidence.append(found)
+        elif found is not None and found.candidate != evidence[0].candidate:
+            sure = Asked.NO_SURE_LOSS if np.isfinite(found.gain.ci95).all() else Asked.SHOWN
+            evidence.append(replace(found, asked=sure, distribution=UPDATED_SINCE))
     why = "the plant has changed" if other_plant else "no samples in common"
     alone = (Status.NOT_COMPARED, why) if candidates else (Status.NOT_WORSE, "the same policy")
     verdict = decide(evidence) if evidence else Verdict(alone[0], reason=alone[1])
     size = evidence[0].size if evidence else size
     return Delivery(expected, returns, agreement, verdict, size, carried and bool(evidence), former.generation)
+
+
+def _overlap(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, ...]:
+    """Samples from the first to before the last that two stretches share; empty if none."""
+    first, last = max(one[0], other[0]), min(one[1], other[1])
+    return (first, last) if first < last else ()
 
 
 def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:

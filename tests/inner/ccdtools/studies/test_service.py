@@ -15,6 +15,7 @@ from ccdtools.studies.names import FORMER
 from ccdtools.studies.redesign import Redesign
 from ccdtools.studies.report.headline import _brought, _phrase
 from ccdtools.studies.service import (
+    UPDATED_SINCE,
     Agreement,
     Delivery,
     Deployed,
@@ -142,6 +143,27 @@ def test_a_redesign_that_is_updated_on_the_way_is_judged_by_its_whole_deployment
     harmed = delivery(-0.06, 0.05)
     assert harmed.verdict.evidence[0].gain.mean > 0
     assert harmed.verdict.status is Status.WORSE  # what would stay is the update
+    assert UPDATED_SINCE in harmed.verdict.reason
+    text = account(2, harmed, [OnlineUpdate(100, made(Status.BETTER), None)], REDESIGN, "m = 1 kg")
+    gain, loss = (one.percent for one in harmed.verdict.evidence)
+    assert f"and measured with its updates {gain} against generation 1" in text
+    assert f"worse: {loss} on the deployment since its last update, so design and policy of generation 1 stay" in text
+
+
+def test_what_never_met_the_policy_before_is_not_named_and_not_judged():
+    """A was updated after 40 runs, B after 30: of B alone no run is beside what was deployed before."""
+    cost = np.where(np.arange(RUNS) < 30, 2.0, 0.97)
+    found = judged(second(log(cost), changes=(30 * STEPS,)), first(log(1.0), changes=(40 * STEPS,)), AFTER)
+    (one,) = found.verdict.evidence
+    assert one.candidate == "B updated in deployment 2, runs 41 to 60"
+    assert found.verdict.status is Status.BETTER
+
+
+def test_an_update_that_drove_one_common_run_is_shown_and_judged_with_the_rest():
+    cost = np.where(np.arange(RUNS) < 58, 1.0, 1.5)
+    found = judged(second(log(cost), changes=(58 * STEPS,)), first(log(1.0)))
+    assert [one.asked for one in found.verdict.evidence] == [Asked.NO_LOSS, Asked.SHOWN]
+    assert found.verdict.status is Status.NOT_BETTER
 
 
 def test_policies_that_never_met_the_same_disturbance_are_not_compared():
@@ -296,6 +318,7 @@ def made(status, change=-1.0, *, broken=None, size=50.0, measure="mean", reason=
     return Verdict(status, (one,), reason)
 
 
+REDESIGN = Redesign(True, True, "moved the design to m = 1 kg, predicted +3 %")
 REFUSED = made(Status.BELOW_PRICE, reason="+0.1 % on the replayed log, price 0.5 %", change=1.0, size=100.0)
 
 
