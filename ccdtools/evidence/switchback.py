@@ -46,6 +46,8 @@ class Trial(Immutable):
         ever rejected.
     lost : bool
         Whether the candidate lost a run, which rejects it.
+    lost_before : int
+        Pairs in which the law in service alone lost a run: each is a bet of all that the candidate is better.
     told : (n, 1 + models) array
         Change of the return within pairs, whoever drove first, and what models foretold: they tell what is taken out of
         further gains.
@@ -56,6 +58,7 @@ class Trial(Immutable):
     level: float = 0.05
     lost: bool = False
     told: ArrayField = ()
+    lost_before: int = 0
 
     def __post_init__(self) -> None:
         gains = np.asarray(self.gains, dtype=float)
@@ -80,8 +83,12 @@ class Trial(Immutable):
     @cached_property
     def _ended(self) -> tuple[int, TrialStatus]:
         """Pairs until the decision, and what it is."""
+        won = self.lost_before * np.log(2)
+        if won + np.log(self.level) >= 0:
+            return len(self.gains), TrialStatus.REJECTED if self.lost else TrialStatus.ADOPTED
         if len(self.gains) >= FEWEST_PAIRS:
-            better, worse = (self._above(gains) >= 0 for gains in (self.gains, self.margin - self.gains))
+            better, worse = self._above(self.gains) + won >= 0, self._above(self.margin - self.gains) >= 0
+            worse &= not self.lost_before
             found = np.flatnonzero((better | worse)[FEWEST_PAIRS - 1 :])
             if len(found):
                 last = int(found[0]) + FEWEST_PAIRS - 1
@@ -133,6 +140,7 @@ class Trial(Immutable):
     def __str__(self) -> str:
         low, high = (number(bound) for bound in self.interval)
         why = ", having lost a run" if self.lost else ""
+        why += f", {self.lost_before} lost by the law in service alone" if self.lost_before else ""
         told = f"gain of a block {number(self.mean)} [{low}, {high}] at any time, margin {number(self.margin)}"
         return with_minus(f"{self.status.value} after {self.pairs} pairs of blocks{why}: {told}")
 
@@ -140,6 +148,7 @@ class Trial(Immutable):
         """Plain values, for results.json."""
         return {"status": self.status.value, "advice": self.status.advice, "pairs": self.pairs, "mean": self.mean,
                 "interval": self.interval, "margin": self.margin, "level": self.level, "lost": self.lost,
+                "lost_before": self.lost_before,
                 "pairs_needed": self.pairs_needed, "gains": self.gains, "text": str(self)}  # fmt: skip
 
 

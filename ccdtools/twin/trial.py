@@ -82,8 +82,8 @@ def switchback_on(
     gain, or a share of it; which is best, or none, the other pairs tell. So a trial ends the sooner the better a model
     is, and one that is wrong may leave it undecided. For the level see `switchback`: what a candidate does in a gust
     that it never drove through is not known. The margin is a part of the returns of the first 20 pairs. A law with
-    memory begins afresh in every block. Pairs in which the law in service loses the run are left out, and a candidate
-    that loses one is rejected.
+    memory begins afresh in every block. A candidate that loses a run is rejected, unless both lose theirs; a run that
+    the law in service alone loses speaks for the candidate, and ends a trial of a single run.
 
     Parameters
     ----------
@@ -104,13 +104,16 @@ def switchback_on(
     Raises
     ------
     InputError
-        If a new trial has room for fewer than 20 pairs of blocks; else as `simulate`.
+        If a new trial has room for fewer than 20 pairs of blocks, or the plant has another sampling time; else as
+        `simulate`.
     """
     config = TrialConfig() if config is None else as_instance("config", config, TrialConfig, "a TrialConfig")
     as_seen_problem(problem)
     as_generator("rng", rng)
     blocks = _Blocks(problem, Scenario(plant, x0, disturbance), problem.design.check_one(design), config, rng)
-    pairs = config.pairs(*blocks.whole.disturbance.shape[:2])
+    pairs, rate = config.pairs(*blocks.whole.disturbance.shape[:2]), getattr(plant, "dt", problem.model.dt)
+    if not np.isclose(rate, problem.model.dt):
+        raise InputError("plant", f"dt = {rate:g} s", f"dt = {problem.model.dt:g} s of the model")
     if before is None and pairs < FEWEST_PAIRS:
         raise InputError("disturbance", f"room for {pairs} pairs of blocks", f"at least {FEWEST_PAIRS}")
     laws = (current, candidate)
@@ -127,9 +130,12 @@ def switchback_on(
         for law in order:
             pieces.append(blocks.drive(laws[law], pieces))
         lost = [int(law) for law, piece in zip(order, pieces[-2:]) if piece.diverged.any()]
-        if lost:
-            trial = replace(trial, lost=lost[0] == 1)
-            continue
+        if lost:  # in a single run the first one, as nothing goes on from there
+            by = lost[:1] if not blocks.several else lost if len(lost) == 1 else []
+            trial = replace(trial, lost=by == [1], lost_before=trial.lost_before + (by == [0]))
+            if blocks.several:
+                continue
+            break
         driven.append((len(pieces) - 2, order[1] - order[0], [blocks.returned(piece) for piece in pieces[-2:]]))
         firsts, turns, returns = (np.array(one) for one in zip(*driven))
         undecided = not len(earlier) and len(driven) <= FEWEST_PAIRS

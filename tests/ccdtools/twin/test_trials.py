@@ -178,6 +178,54 @@ def test_a_law_that_loses_the_run_is_rejected_at_once(problem):
     assert found.trial.pairs <= 1
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_run_that_the_law_in_service_loses_is_not_laid_to_the_candidate(problem, seed):
+    found = tried(problem, BETTER, served=UNSTABLE, seed=seed)
+    assert found.trial.status.value == "undecided"  # of one run nothing goes on
+    assert not found.trial.lost
+    assert "1 lost by the law in service alone" in str(found.trial)
+    assert found.samples <= 200
+
+
+def test_a_candidate_that_keeps_runs_which_the_law_in_service_loses_is_adopted(problem):
+    w = Gaussian([0.1, 0.1]).sample(60, 100, np.random.default_rng(0))
+    laws = {"served": UNSTABLE, "better": BETTER, "lost, too": LinearFeedback(2 * UNSTABLE.K)}
+
+    def after(current, candidate):
+        rng = np.random.default_rng(1)
+        return switchback_on(problem, plant(1.1), laws[current], laws[candidate], [1.0], x0=X0, disturbance=w, rng=rng)
+
+    found = after("served", "better")
+    assert found.trial.status.value == "adopted"
+    assert found.trial.lost_before == 5  # 2^-5 is below 5 %
+    assert not found.log.diverged[10:].any()
+    both = after("served", "lost, too").trial
+    assert (both.status.value, both.lost, both.lost_before) == ("undecided", False, 0)
+    assert after("better", "served").trial.lost
+
+
+def test_runs_lost_before_speak_for_a_candidate_at_the_level():
+    rng = np.random.default_rng(0)
+    adopted = 0
+    for _ in range(1000):  # either law loses a run in one of three pairs, and nothing else tells them apart
+        trial = Trial([], margin=1.0)
+        for _ in range(30):
+            trial = replace(trial, gains=np.append(trial.gains, rng.standard_normal()))
+            by = rng.integers(6)
+            trial = replace(trial, lost=by == 0, lost_before=trial.lost_before + (by == 1))
+            if trial.status.value != "undecided":
+                break
+        adopted += trial.status.value == "adopted"
+    assert adopted <= 60
+
+
+def test_a_real_plant_of_another_rate_is_refused(problem):
+    w = np.zeros((3000, 2))
+    with pytest.raises(InputError, match=r"plant: got dt = 0\.2 s, expected dt = 0\.1 s of the model"):
+        switchback_on(problem, replace(plant(1.0), dt=0.2), SERVED, BETTER, [1.0], x0=X0, disturbance=w,
+                      rng=np.random.default_rng(0))  # fmt: skip
+
+
 @pytest.mark.long
 def test_a_model_that_is_right_takes_noise_out_of_the_trial(problem):
     near = {"candidate": LinearFeedback(0.9 * BETTER.K), "served": BETTER}
