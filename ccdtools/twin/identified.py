@@ -23,6 +23,7 @@ from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import BLOCKS, RIDGES
 from ccdtools.twin.residuals import Logs, Residuals, errors_in, residuals
+from ccdtools.twin.tolerances import EXCITED
 from ccdtools.twin.transport import Transport, carried
 from ccdtools.twin.unknown_plant import disturbed, mean_disturbance, moved_at_rest
 from ccdtools_ground.door import as_instance
@@ -196,13 +197,19 @@ def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Traje
 
 
 def fitted_change(logs: Sequence[Residuals], scale: Array) -> tuple[Array, Array, Array]:
-    """ΔA (nx, nx), ΔB (nx, nu) and c (nx,) of errors, by ridge regression."""
+    """ΔA (nx, nx), ΔB (nx, nu) and c (nx,) of errors, by ridge regression.
+
+    What hardly varies, as inputs beside the states that they follow from, is not told: there what is not linear in the
+    plant varies with what is not linear in the law.
+    """
     x, u, e = (np.concatenate([getattr(log, name).reshape(-1, getattr(log, name).shape[2]) for log in logs])
                for name in ("x", "u", "e_next"))  # fmt: skip
     z, e = np.hstack([x, u]), e / scale
     mean, spread = z.mean(axis=0), z.std(axis=0)
     spread = np.where(spread > 0, spread, 1.0)
     U, s, V = np.linalg.svd((z - mean) / spread, full_matrices=False)
+    told = s >= EXCITED * s[0]
+    U, s, V = U[:, told], s[told], V[told]
     parts = U.T @ (e - e.mean(axis=0))
     kept = s[:, None] ** 2 / (s[:, None] ** 2 + max(s[0], 1.0) ** 2 * RIDGES)  # (m, ridges); none for the last
     left = np.square(e - e.mean(axis=0)).sum(axis=0)[:, None] - np.square(parts).T @ (1 - (1 - kept) ** 2)

@@ -17,7 +17,7 @@ from ccdtools.plants.models import Model, as_model
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.twin.residuals import Residuals
-from ccdtools.twin.tolerances import RANK
+from ccdtools.twin.tolerances import UNTOLD
 from ccdtools_ground.door import as_floats
 
 
@@ -53,7 +53,7 @@ class Transport(Immutable):
         scale = as_extent(scale, model.nx)
         E = model.matrices(p)[2]
         scaled, lengths = _columns_of_length_one(E / scale[:, None])
-        inverse = np.linalg.pinv(scaled, rcond=RANK) / scale / lengths[:, None]
+        inverse = np.linalg.pinv(scaled, rcond=UNTOLD) / scale / lengths[:, None]
         return cls(E, inverse)
 
     def split(self, e: Array) -> tuple[Array, Array]:
@@ -154,7 +154,7 @@ def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
     if model.nw == 0 or not np.isfinite(lengths).all():
         return model.nw == 0
     values = np.linalg.svd(scaled, compute_uv=False)
-    return len(values) == model.nw and bool(values[-1] > RANK * values[0])
+    return len(values) == model.nw and bool(values[-1] > UNTOLD * values[0])
 
 
 def check_disturbance_enters(model: Model) -> None:
