@@ -162,7 +162,7 @@ class AdaptiveConformal:
 
     In its logarithm a miss makes the factor larger by the rate times the level, a hit smaller by the rate times the
     rest. Over any T scores the share of misses differs from 1 − level by at most the change of that
-    logarithm over rate · T, whatever the scores are.
+    logarithm over rate · T, whatever the scores are, as long as the factor stays above `least`.
 
     Attributes
     ----------
@@ -175,6 +175,9 @@ class AdaptiveConformal:
         Fixed factor that is watched; the first `factor` by default.
     evidence : float
         Against the fixed factor: what a bet on more misses than promised has won since it began to win.
+    least : float
+        Part of the fixed factor below which the factor does not fall: so it comes back soon after a standstill, or a
+        stuck sensor, whose scores are 0.
     """
 
     level: float = 0.8
@@ -182,10 +185,11 @@ class AdaptiveConformal:
     rate: float = 0.05
     calibrated: float | None = None
     evidence: float = 1.0
+    least: float = 0.1
 
     def __post_init__(self) -> None:
         check_number(self.level, "level", 0.0, 1.0)
-        for name in ("factor", "rate", "evidence"):
+        for name in ("factor", "rate", "evidence", "least"):
             check_number(getattr(self, name), name)
         if self.calibrated is None:
             object.__setattr__(self, "calibrated", self.factor)
@@ -204,4 +208,5 @@ class AdaptiveConformal:
         promised = 1 - self.level
         won = max(self.evidence, 1.0) * (1 + float(score > self.calibrated) - promised)
         factor = self.factor * float(np.exp(self.rate * (float(score > self.factor) - promised)))
+        factor = max(factor, self.least * self.calibrated)
         return replace(self, factor=factor, evidence=min(won, 1 / FALSE_ALARM**2))

@@ -117,6 +117,8 @@ def _dense(name: str, values: Any) -> Any:
             array = array.astype(float)
         except (TypeError, ValueError) as error:
             raise InputError(name, f"objects ({error})", "numbers") from None
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise InputError(name, "NaN or infinity", "finite numbers")
     if name == "X" and (array.ndim != 2 or not array.shape[1]):
         few = f"0 feature(s) (shape={array.shape}) while a minimum of 1 is required."
         cure = few if array.ndim == 2 else "Reshape your data: X.reshape(-1, d)."

@@ -132,8 +132,8 @@ def fitted_generations(
     nor loses more runs: than what was deployed before, and than an update of it. A recording leaves nothing to chance.
     Where states are logged that update is LQR of the affine model that they tell at the former design
     (`identified_lqr`), where outputs are the former law behind the filter of the plant that they tell, if it is better
-    as deployed beyond chance, no worse elsewhere, and breaks no limit. A redesign for a fit that is LASTING or OPEN
-    must be better so, too. A policy that is learned on the state (`Learned(history=0)`) is judged there by `codesign`,
+    as deployed beyond chance, no worse elsewhere, and breaks no limit. A redesign for a fit that is not SOLVED must be
+    better so, too. A policy that is learned on the state (`Learned(history=0)`) is judged there by `codesign`,
     and behind its filter by the real plant alone.
 
     Where a deployment loses all of its runs its `status` is LOST, and it is the last.
@@ -330,7 +330,7 @@ class FittedLoop:
 
 def _doubtful(fit: PlantFit | IdentifiedChange) -> bool:
     """Whether a fit may mistake something."""
-    return isinstance(fit, PlantFit) and fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND)
+    return isinstance(fit, PlantFit) and fit.status is not FitStatus.SOLVED
 
 
 def _designed(problem: CoDesignProblem, by: Any, design: ArrayLike | None, rng: np.random.Generator) -> Any:

@@ -111,6 +111,19 @@ def test_a_stream_holds_its_level_five_hundred_samples_after_a_shift(change):
     assert np.mean(inside[1000:]) == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.parametrize("still", [100, 2000])
+def test_a_stream_comes_back_after_a_standstill(still):
+    rng = np.random.default_rng(0)
+    stream = AdaptiveConformal(0.8, 1.0)
+    for score in np.r_[np.abs(rng.standard_normal(300)), np.zeros(still), np.abs(rng.standard_normal(500))]:
+        stream = stream.after(score)
+    hits = []
+    for score in np.abs(rng.standard_normal(1000)):
+        hits.append(score <= stream.factor)
+        stream = stream.after(score)
+    assert np.mean(hits) == pytest.approx(0.8, abs=0.05)
+
+
 def test_the_flag_is_raised_where_coverage_is_lost_and_falls_when_it_is_back():
     rng = np.random.default_rng(2)
     stream = AdaptiveConformal(0.8, norm.ppf(0.9))

@@ -37,6 +37,9 @@ def test_an_estimator_is_cloned_set_fitted_and_asked():
     with pytest.raises(InputError, match="without a fit"):
         again.predict(x)
     np.testing.assert_array_equal(again.fit(x, y).predict(x), estimator.predict(x))
+    for wrong in (np.nan, np.inf):
+        with pytest.raises(InputError, match="X: got NaN or infinity"):
+            estimator.predict(np.where(x == x[0, 0], wrong, x))
 
 
 def test_it_fits_what_fit_quantiles_fits():

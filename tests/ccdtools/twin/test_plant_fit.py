@@ -319,6 +319,20 @@ def test_a_bound_that_holds_a_parameter_is_said():
     fit = fit_plant(problem, logged(problem, spring(0.4)), plant=narrow)
     assert fit.status.name == "AT_BOUND"
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
+    free = fit_plant(problem, logged(problem, spring(0.4)), plant=plant)
+    assert 0.3 < fit.deviations[0] / free.deviations[0] < 3  # as where nothing holds it
+
+
+@pytest.mark.long
+def test_errors_that_last_are_told_where_a_bound_holds_a_parameter_too():
+    """A sensor of the wrong sign."""
+    problem, plant = stated(), spring(names=("gain",))
+    log = logged(problem, spring(0.4))
+    turned = OutputLog(-log.outputs, log.inputs, log.design)
+    fit = fit_plant(problem, turned, plant=replace(plant, design=DesignSpace(["k", "gain"], [0.5, 0.3], [4.0, 3.0])))
+    assert fit.status.name == "LASTING"
+    with pytest.raises(InputError, match="LASTING"):
+        updated_problem(problem, fit)
 
 
 @pytest.mark.long
