@@ -63,7 +63,9 @@ class FittedGeneration:
         Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
         the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
     accepted : bool
-        Whether its design is in service for the first time.
+        Whether what was designed for the fit, or at first, is in service.
+    moved : bool
+        Whether that has another design than what was in service before.
     update : PairedDifference or None
         Measured gain at the former design of LQR by the logs, or of the former law behind the filter of the plant that
         they tell where the problem has sensors; where that is what is deployed.
@@ -89,6 +91,7 @@ class FittedGeneration:
     elsewhere: Mapping[str, PairedDifference] = field(default_factory=dict)
     lost: tuple[int, int] = (0, 0)
     agent: Any = None
+    moved: bool = True
 
     @property
     def status(self) -> DeploymentStatus:
@@ -101,7 +104,8 @@ class FittedGeneration:
         if self.fit is None:
             return ". ".join([f"first design {np.round(self.design, 4)}", *lost])
         place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
-        said = f"redesign {place}" if self.predicted else "no redesign"
+        what = "redesign" if self.moved else "law designed anew at the same design"
+        said = f"{what} {place}" if self.predicted else "no redesign"
         update = "LQR by the logs measured" if self.log.outputs is None else "filter of the fit measured"
         words = {
             "predicted": self.predicted, "measured": self.gain, "": self.violation, update: self.update,
@@ -229,17 +233,19 @@ class FittedLoop:
             fit = fit_plant(self.problem, [one.log for one in found], plant=self.plant, noise=self.noise)
         again: Any = None
         predicted = updated = None
+        moved = True
         if not isinstance(fit, PlantFit) or fit.status is not FitStatus.UNSOLVED:
             updated = fit.likeliest(self.problem) if isinstance(fit, PlantFit) else fit.updated(self.problem)
             going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
             again = _designed(updated, going_on, before.design, rng)
             predicted = self._predicted(fit, updated, again, before, rng)
+            moved = not np.array_equal(again.design, before.design)
             again = again if predicted.ci95[0] > 0 else None
         told = _by_logs(self.problem, found, updated)
         deployed, measured = before, dict[str, Any]()
         if told is not None or again is not None:
             deployed, measured = self.trial(before, told, again, int(rng.integers(2**31)), _doubtful(fit))
-        told_by = {"fit": fit, "predicted": predicted, "accepted": deployed is again}
+        told_by = {"fit": fit, "predicted": predicted, "accepted": deployed is again, "moved": moved}
         return self._logged(deployed, rng, **told_by, **measured)
 
     def _logged(self, one: Any, rng: np.random.Generator, **told: Any) -> FittedGeneration:
@@ -294,8 +300,9 @@ class FittedLoop:
     ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
         """What is deployed, and measured gains by attribute of a generation."""
         runs = self.trial_runs or max(REAL_RUNS * self.problem.steps // self.real.steps, 2)
-        others = self.real.held_out or {}
-        scenarios = [self.scenario(runs, seed, drive) for drive in (self.real.disturbance, *others.values())]
+        own = self.real.disturbance
+        others = {name: drive for name, drive in (self.real.held_out or {}).items() if drive is not own}
+        scenarios = [self.scenario(runs, seed, drive) for drive in (own, *others.values())]
 
         def driven(one: Any) -> list[Trajectory]:
             """Runs on every distribution."""
