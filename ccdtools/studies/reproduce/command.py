@@ -42,6 +42,8 @@ def reproduced(folder: RunFolder, budget: Budget, *, jobs: int, echo: Callable[[
 
     What was not finished yet is computed first.
     """
+    if not budget.road:
+        echo("No recorded road in the folder that CCDTOOLS_DATA names: the suspension drives on a generated one")
     tasks = all_tasks(folder.path, budget)
     names = [task.name for task in tasks] if progress else ()
     for name in as_they_end(methodcaller("run"), tasks, jobs=jobs, label="tasks", names=names, progress=progress):

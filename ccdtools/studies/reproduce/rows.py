@@ -15,7 +15,7 @@ from ccdtools.evidence.percent import number, with_minus
 from ccdtools.evidence.verdict import Status, Verdict, decide
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.statistics import PairedDifference
-from ccdtools.studies.reproduce.budget import CASES, Budget
+from ccdtools.studies.reproduce.budget import CASES, EPOCHS, Budget
 from ccdtools.studies.reproduce.lines import Line, lines_of
 from ccdtools.studies.stage_storage import Stage
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 COMMON_TO_ALL = -1  # in place of a seed
 WORDS = {Status.BETTER: "better", Status.WORSE: "worse", Status.MORE_LOST: "loses more runs"}
+PRESET = ("nominal-after-paper",)  # what --paper-budgets carries out whole
 ELSEWHERE = " (on a generated road: the recorded one is not at hand)"
 
 
@@ -57,6 +58,7 @@ class Found:
     designs: tuple[dict[str, Any], ...]
     space: DesignSpace
     decisions: tuple[bool, ...] = ()
+    updates: tuple[int, ...] = ()  # accepted in each deployment
 
     def values(self, key: str) -> Array | None:
         """Values (seeds, runs) of a key, (1, runs) if common, or None."""
@@ -107,7 +109,9 @@ def filled_rows(tasks: Sequence[Task], budget: Budget) -> list[dict[str, Any]]:
     rows = []
     for case in CASES:
         found = found_in([task for task in tasks if task.case == case])
-        rows += [_row(line, found, "" if budget.road or not line.on_road else ELSEWHERE) for line in lines_of(case)]
+        for line in lines_of(case):
+            partly = f" ({EPOCHS} of its 10 000 epochs)" if line.key in PRESET and not budget.paper else ""
+            rows.append(_row(line, found, partly + ("" if budget.road or not line.on_road else ELSEWHERE)))
     return rows
 
 
@@ -116,13 +120,14 @@ def found_in(tasks: Sequence[Task]) -> Found:
     seeds: dict[int, dict[str, Array]] = {}
     designs: dict[int, dict[str, Any]] = {COMMON_TO_ALL: {}}
     once: dict[str, Array] = {}
-    decisions = []
+    decisions, updates = [], []
     for task in tasks:
         stages = task.finished()
         texts = designs.setdefault(task.seed if task.of_seed else COMMON_TO_ALL, {})
         for part, stage in stages.items():
             texts |= stage.values.get("designs", {})
             decisions += [stage.values["replaces"]] if "replaces" in stage.values else []
+            updates += [stage.values["accepted"]] if "accepted" in stage.values else []
             if not task.of_seed and part not in task.programs:
                 once |= stage.arrays
         if task.of_seed and "measured" in stages:
@@ -134,7 +139,8 @@ def found_in(tasks: Sequence[Task]) -> Found:
             once["nominal.optimum"] = best["return"]
             place = task.problem.design.describe(best["p"])
             designs[COMMON_TO_ALL]["nominal.optimum"] = f"dynamic program at {place}"
-    return Found(tuple(seeds.values()), once, tuple(designs.values()), tasks[0].problem.design, tuple(decisions))
+    return Found(tuple(seeds.values()), once, tuple(designs.values()), tasks[0].problem.design, tuple(decisions),
+                 tuple(updates))  # fmt: skip
 
 
 def _of_seed(task: Task, stages: Mapping[str, Stage]) -> dict[str, Array]:
@@ -155,6 +161,11 @@ def _row(line: Line, found: Found, note: str) -> dict[str, Any]:
     if former is not None:
         deployed = f"{sum(found.decisions)} of {len(found.decisions)} redesigns deployed"
         said += f"; {said_of(former, 'equal within chance')} beside generation 1; {deployed}"
+    before = found.beside(f"{line.key}.ours", "nominal-before.ours", fresh=False, lower=False)
+    if line.key in PRESET and before is not None:
+        said += f"; {said_of(before, 'equal within chance')} beside the return before it"
+    if line.key.endswith("-updated") and found.updates:
+        said += f"; {sum(found.updates)} updates accepted in {len(found.updates)} deployments"
     return {
         "case": line.case, "row": line.says, "paper": str(line.printed), "place": line.printed.place, "LQR": str(lqr),
         "our policy there": str(policy), "ours": str(ours), "optimum": str(optimum), "verdict": said + note,
@@ -176,7 +187,7 @@ def verdict(line: Line, found: Found, ours: Cell, optimum: Cell) -> str:
             return "no figure to compare"
         return f"no figure; {said_of(beside, 'equal within chance')} beside LQR at the paper's design"
     paper = Cell(printed.mean, printed.mean - printed.half_width, printed.mean + printed.half_width)
-    word = said_of(apart(ours, paper, lower=line.lower), "reproduced within chance")
+    word = said_of(apart(ours, paper, lower=line.lower), "not told apart")
     if not np.isfinite(optimum.mean) or apart(paper, optimum, lower=line.lower).status is not Status.BETTER:
         return word
     return _out_of_reach(line, optimum, word)

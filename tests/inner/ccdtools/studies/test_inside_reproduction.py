@@ -104,7 +104,7 @@ LINE = Line("illustrative", "nominal-after", "", "after")  # the paper: −69.78
     ("ours", "optimum", "word"),
     [
         (Cell(-25.0, -26.0, -24.0), Cell(-24.0, -24.0, -24.0), "better: +64 %"),
-        (Cell(-69.5, -70.5, -68.5), Cell(-24.0, -24.0, -24.0), "reproduced within chance"),
+        (Cell(-69.5, -70.5, -68.5), Cell(-24.0, -24.0, -24.0), "not told apart"),
         (Cell(-80.0, -81.0, -79.0), Cell(-24.0, -24.0, -24.0), "worse: −15 %"),
         (
             Cell(-80.0, -81.0, -79.0),
