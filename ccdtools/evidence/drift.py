@@ -23,7 +23,7 @@ POWERS = np.array([0.1, 0.3, 0.6])  # ε of the bets ε p^(ε − 1), from a few
 class DriftStatus(Outcome):
     """Status of a stretch of residuals."""
 
-    NONE = "no drift", "The twin describes the plant as it did."
+    NONE = "no drift", "No change was seen; one that moves errors by less than they scatter may be missed."
     UNKNOWN = "not known", "Too few samples to tell: log longer, or state a shorter block."
     DRIFT = "drift", "The twin no longer describes the plant: log again, then redesign."
 
