@@ -63,7 +63,10 @@ class RedesignCost:
         if not isinstance(self.unit, str) or not self.unit.strip():
             raise InputError("unit", shown(self.unit), 'the unit of the costs, such as "EUR" or "return"')
         if self.worth is None and self.unit != "return":
-            raise InputError("worth", "nothing", f"what one unit of return is worth in {self.unit}")
+            cure = 'The unit of returns is called "return".' if self.unit.lower().startswith("return") else ""
+            raise InputError("worth", "nothing", f"what one unit of return is worth in {self.unit}", cure)
+        if self.worth not in (None, 1) and self.unit == "return":
+            raise InputError("worth", shown(self.worth), "none where costs are in units of the return")
         object.__setattr__(self, "worth", as_positive("worth", 1.0 if self.worth is None else self.worth))
         as_positive("serves", self.serves)
         for name in ("cost", "logging"):
@@ -179,7 +182,11 @@ def decide_redesign(
         measured = as_array("gains", measured, ("n",))
     if len(measured) < fewest:
         raise InputError("gains", f"{len(measured)} of them", f"at least {fewest}, or `noise` and `prior`")
-    spread = float(measured.std(ddof=1)) if noise is None else as_number("noise", noise, low=0.0)
+    spread = (
+        float(measured.std(ddof=1))
+        if noise is None
+        else as_number("noise", noise, expected="a number of at least 0", low=0.0)
+    )
     precision, mean = 0.0, 0.0
     if prior is not None:
         mean, before = as_array("prior", prior, (2,))

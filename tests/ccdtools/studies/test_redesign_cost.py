@@ -131,3 +131,7 @@ def test_a_text_states_what_a_redesign_costs():
             RedesignCost.parse(text)
     with pytest.raises(InputError, match="cost: got -5"):
         RedesignCost.parse("-5 return, serves 9")
+    with pytest.raises(InputError, match="worth: got 3"):
+        RedesignCost(5.0, 10.0, "return", worth=3.0)
+    with pytest.raises(InputError, match='called "return"'):
+        RedesignCost.parse("12 returns, serves 9")
