@@ -28,7 +28,7 @@ class RecedingHorizon:
         self.solver = osqp.OSQP()
         self.solver.setup(
             weight, linear, constraints, self.lower, self.upper, verbose=False, eps_abs=1e-5, eps_rel=1e-5,
-            max_iter=20_000,
+            max_iter=400_000,
         )  # fmt: skip
 
     def __call__(self, x: Array) -> Array:
