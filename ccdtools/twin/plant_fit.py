@@ -21,7 +21,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory, check_clock
 from ccdtools.twin.residuals import errors_in, residuals
 from ccdtools.twin.state_errors import StateErrors
-from ccdtools.twin.stuck_sensors import warn_of_stuck
+from ccdtools.twin.stuck_sensors import warn_of_spikes, warn_of_stuck
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, mean_disturbance, stated_plant
 from ccdtools_ground.door import (
     as_array,
@@ -262,9 +262,7 @@ def fit_plant(
     if not isinstance(output, Plant | np.ndarray | None):
         expected = "Measurement(output, noise=…) of a matrix or a Plant, which can be differentiated"
         raise InputError("problem.measurement", shown(problem.measurement), expected)
-    several = list(logs) if isinstance(logs, list | tuple) else [logs]
-    if not several:
-        raise InputError("logs", shown(logs), "at least one log")
+    several = _several(logs)
     scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
     if output is None:
         seen = errors_in(
@@ -305,12 +303,22 @@ def fit_plant(
         m = len(unknown.free)
         lasting = _lasting(left) or _carried_whole(found.parts, values[:m], held[m:])
     else:
-        lasting = _lasting([part.normalised(values) for part in found.parts], lags=(1, 2, 4, 8))
+        innovations = [part.normalised(values) for part in found.parts]
+        warn_of_spikes("logs", innovations, _output_names(problem))
+        lasting = _lasting(innovations, lags=(1, 2, 4, 8))
     status = FitStatus.LASTING if status in (FitStatus.SOLVED, FitStatus.AT_BOUND) and lasting else status
     return PlantFit(
         names, values, covariance, status, open_, squares / measured, unknown, freedom, _left_out(several),
         information=known, errors=errors,
     )  # fmt: skip
+
+
+def _several(logs: Any) -> list[Any]:
+    """Logs, of which there is at least one."""
+    several = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not several:
+        raise InputError("logs", shown(logs), "at least one log")
+    return several
 
 
 def _open(known: Information, unknown: UnknownPlant) -> tuple[dict[str, float], ...]:
@@ -480,6 +488,13 @@ def _innovations(
     return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
 
 
+def _output_names(problem: CoDesignProblem) -> Sequence[str]:
+    """Names of the outputs that sensors measure."""
+    stated: Any = problem.measurement
+    plant = isinstance(stated.output, Plant)
+    return stated.output.output_names if plant else [f"y{j + 1}" for j in range(len(stated.output))]
+
+
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
     """Log of the problem's sizes, without runs that diverged."""
     outputs = log.outputs if isinstance(log, OutputLog | Trajectory) else None
@@ -500,6 +515,6 @@ def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
     asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)
     if sizes != asked:
         raise InputError(argument, f"{sizes[0]} outputs and {sizes[1]} inputs", f"{asked[0]} and {asked[1]}")
-    names = getattr(stated, "output_names", [f"y{j + 1}" for j in range(sizes[0])])
+    names = _output_names(problem)
     warn_of_stuck(argument, found.outputs, found.inputs, names, lambda: np.sqrt(np.diag(kalman_filter(problem, p).V)))
     return found

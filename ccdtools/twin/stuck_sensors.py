@@ -1,4 +1,4 @@
-"""Sensors that repeat a value more often than their noise allows."""
+"""Sensors that repeat a value, or leap, more often than their noise allows."""
 
 from __future__ import annotations
 
@@ -55,6 +55,21 @@ def warn_of_stuck(
                 "A sensor is stuck, or coarser than its noise, or the plant stands there: put NaN if it says nothing."
             )
             warnings.warn(f"{argument}: {said}; {expected}. {cure}", UserWarning, stacklevel=4)
+
+
+def warn_of_spikes(argument: str, innovations: Sequence[Array], names: Sequence[str], *, level: float = 1e-3) -> None:
+    """Warn of innovations (n, T, m), in their deviations, that are twice as large as normal ones are by chance.
+
+    The largest of a log's is larger than that chance with probability `level`.
+    """
+    for i, one in enumerate(innovations):
+        far = np.argwhere(np.abs(one) > 2 * norm.isf(level / 2 / max(one.size, 1)))
+        for run, k, j in far[:1]:
+            said = f"{names[j]} is {abs(one[run, k, j]):.0f} deviations from what a fit foretells"
+            said += f" in sample {k} of run {run}"
+            more = f", and {len(far) - 1} other values are as odd" if len(far) > 1 else ""
+            cure = "Put NaN where a sensor leaps: a fit takes it for noise of all samples."
+            warnings.warn(f"{argument}[{i}]: {said}{more}. {cure}", UserWarning, stacklevel=3)
 
 
 def _longest(repeats: Array) -> tuple[int, int, int]:

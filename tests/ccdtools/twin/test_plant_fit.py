@@ -1,5 +1,6 @@
 """Plants that logged outputs, or states, and inputs tell."""
 
+import warnings
 from dataclasses import replace
 
 import casadi as ca
@@ -321,6 +322,19 @@ def test_a_bound_that_holds_a_parameter_is_said():
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
     free = fit_plant(problem, logged(problem, spring(0.4)), plant=plant)
     assert 0.3 < fit.deviations[0] / free.deviations[0] < 3  # as where nothing holds it
+
+
+@pytest.mark.long
+def test_a_sensor_that_leaps_is_told_and_chance_is_not():
+    problem, plant = stated(), spring(names=("gain",))
+    log = logged(problem, spring(0.5))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit_plant(problem, log, plant=plant)
+    outputs = log.outputs.copy()
+    outputs[3, 20] += 20.0
+    with pytest.warns(UserWarning, match=r"logs\[0\]: y1 is .* deviations .* in sample 20 of run 3.*NaN"):
+        fit_plant(problem, OutputLog(outputs, log.inputs, log.design), plant=plant)
 
 
 @pytest.mark.long
