@@ -10,12 +10,14 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ccdtools.arrays import Array, jsonable as jsonable
-from ccdtools.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from ccdtools.trajectory import Trajectory
 
 Network = Any
 MANIFEST = "manifest.json"
@@ -38,6 +40,8 @@ def kept_log(log: Trajectory) -> dict[str, Array]:
 
 def log_of(stage: Stage, dt: float) -> Trajectory:
     """Log of a stage."""
+    from ccdtools.trajectory import Trajectory  # loads casadi, which a wrong option need not wait for
+
     kept: dict[str, Any] = {name: stage.arrays[name] for name in LOGGED if name in stage.arrays}
     return Trajectory(**kept, dt=dt)
 
