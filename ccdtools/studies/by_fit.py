@@ -73,6 +73,8 @@ class FittedGeneration:
         Limits that a redesign left further on the real plant than the tolerance, and than what was in service.
     elsewhere : dict of str to PairedDifference
         Gain of a redesign on the held-out drives of the real plant.
+    beside : dict of str to PairedDifference
+        Gain of a redesign above the update that is deployed in its place, on drives where it is less beyond chance.
     lost : (int, int)
         Runs that a redesign, and what was in service, lost where it was tried.
     agent : ActorCritic or None
@@ -89,6 +91,7 @@ class FittedGeneration:
     update: PairedDifference | None = None
     violation: Violation | None = None
     elsewhere: Mapping[str, PairedDifference] = field(default_factory=dict)
+    beside: Mapping[str, PairedDifference] = field(default_factory=dict)
     lost: tuple[int, int] = (0, 0)
     agent: Any = None
     moved: bool = True
@@ -110,6 +113,7 @@ class FittedGeneration:
         words = {
             "predicted": self.predicted, "measured": self.gain, "": self.violation, update: self.update,
             **{f"on {name}": gain for name, gain in self.elsewhere.items()},
+            **{f"beside that update {name}": gain for name, gain in self.beside.items()},
         }  # fmt: skip
         gains = [
             str(one) if isinstance(one, Violation) else f"{name} {one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]"
@@ -331,6 +335,9 @@ class FittedLoop:
             tried = {"gain": gain, "elsewhere": dict(zip(others, elsewhere)), "violation": left(logs), "lost": lost}
             if better(logs, beyond_chance=doubtful) and not tried["violation"]:
                 return again, tried
+            if deployed is told:
+                gains = {name: self.gain(*pair) for name, pair in zip(("as deployed", *others), zip(logs, best))}
+                tried["beside"] = {name: one for name, one in gains.items() if one.ci95[1] < 0}
             measured |= tried
         return deployed, measured
 

@@ -58,12 +58,12 @@ def warn_of_stuck(
 
 
 def warn_of_spikes(argument: str, innovations: Sequence[Array], names: Sequence[str], *, level: float = 1e-3) -> None:
-    """Warn of innovations (n, T, m), in their deviations, that are twice as large as normal ones are by chance.
+    """Warn of innovations (n, T, m), in their deviations, that are thrice as large as normal ones are by chance.
 
     The largest of a log's is larger than that chance with probability `level`.
     """
     for i, one in enumerate(innovations):
-        far = np.argwhere(np.abs(one) > 2 * norm.isf(level / 2 / max(one.size, 1)))
+        far = np.argwhere(np.abs(one) > 3 * norm.isf(level / 2 / max(one.size, 1)))
         for run, k, j in far[:1]:
             said = f"{names[j]} is {abs(one[run, k, j]):.0f} deviations from what a fit foretells"
             said += f" in sample {k} of run {run}"

@@ -20,8 +20,8 @@ study = OnSensors(
         "real": replace(states.study.real, runs=4),
         "unknown": states.unknown_car(),
         "settings": {  # two minutes
-            "real_runs": 40, "cloning": CloningConfig(steps=1000), "codesign": CoDesignConfig(iterations=30, starts=1),
-            "redesign": CoDesignConfig(iterations=20, starts=1, policy_rate=3e-4),
+            "real_runs": 32, "cloning": CloningConfig(steps=1000), "codesign": CoDesignConfig(iterations=30, starts=1),
+            "redesign": CoDesignConfig(iterations=16, starts=1, policy_rate=3e-4),
         },
     },
     noise=[0.1, 0.5, 0.002],  # m/s², m/s², m
