@@ -83,11 +83,12 @@ class Trial(Immutable):
     @cached_property
     def _ended(self) -> tuple[int, TrialStatus]:
         """Pairs until the decision, and what it is."""
-        won = self.lost_before * np.log(2)
-        if won + np.log(self.level) >= 0:
+        above = self._above(self.gains) if len(self.gains) else np.log([self.level])
+        above[-1] += self.lost_before * np.log(2)  # earlier pairs were looked at before
+        if self.lost_before and above[-1] >= 0:
             return len(self.gains), TrialStatus.REJECTED if self.lost else TrialStatus.ADOPTED
         if len(self.gains) >= FEWEST_PAIRS:
-            better, worse = self._above(self.gains) + won >= 0, self._above(self.margin - self.gains) >= 0
+            better, worse = above >= 0, self._above(self.margin - self.gains) >= 0
             worse &= not self.lost_before
             found = np.flatnonzero((better | worse)[FEWEST_PAIRS - 1 :])
             if len(found):

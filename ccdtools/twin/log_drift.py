@@ -18,9 +18,8 @@ from ccdtools_ground.door import as_count, as_instance, as_share
 def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, block: int | None = None) -> Drift:
     """Whether a twin still describes the plant of a fresh log.
 
-    What its median leaves unexplained is compared with what it left unexplained of its own logs, itself and times each
-    state and input: so a change of size, of offset, or of what states and inputs do is seen. Another law is no drift as
-    far as the twin describes the states that it visits.
+    What its median leaves unexplained is compared with what it left unexplained of its own logs. Another law is no
+    drift as far as the twin describes the states that it visits.
 
     Parameters
     ----------
@@ -39,12 +38,9 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None or twin.scale is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
+    known = np.concatenate([_in_time(one, one.e_next) for one in twin.innovations()])
     now = carried(twin.model, residuals(twin.model, log), twin.logs[-1].p, twin.scale)
-    errors = [_in_time(one, one.e_next) for one in twin.innovations()]
-    met = np.concatenate([_samples(one) for one in twin.innovations()])
-    centre, spread = met.mean(axis=0), np.where(np.ptp(met, axis=0) > 0, met.std(axis=0), np.inf)
-    known = _with_products(np.concatenate(errors), (met - centre) / spread)
-    fresh = _with_products(_in_time(now, now.e_next - twin.discrepancy.median(now)), (_samples(now) - centre) / spread)
+    fresh = _in_time(now, now.e_next - twin.discrepancy.median(now))
     length = max(1, len(known) // CALIBRATION_BLOCKS) if block is None else as_count("block", block)
     if len(known) < CALIBRATION_BLOCKS * length or len(fresh) < length:
         return Drift(None, None, 0, length, as_share("level", level))
@@ -83,11 +79,6 @@ def outside_data(twin: DigitalTwin, log: Trajectory) -> tuple[float, Array]:
     most = beyond.max(axis=0)
     beyond /= np.where(high > low, high - low, np.where(most > 0, most, 1.0))
     return float((beyond > 0).any(axis=1).mean()), np.asarray(beyond.max(axis=0))
-
-
-def _with_products(errors: Array, seen: Array) -> Array:
-    """Errors (samples, nx), and each times each of what was seen (samples, m)."""
-    return np.hstack([errors, *(errors * one[:, None] for one in seen.T)])
 
 
 def _samples(log: Residuals) -> Array:

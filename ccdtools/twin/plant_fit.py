@@ -293,7 +293,7 @@ def fit_plant(
     open_ = _open(known, unknown)
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held[: len(unknown.free)].any() else FitStatus.SOLVED
     status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
-    covariance, freedom = _covariance(known, held), np.inf
+    covariance, freedom = known.covariance(1.0), np.inf
     if output is None:
         scores = np.concatenate([part.scores(values, _inverse(covariance)) for part in found.parts])
         flat = np.concatenate([one.reshape(-1, len(size)) for one in left])
@@ -324,13 +324,6 @@ def _several(logs: Any) -> list[Any]:
 def _open(known: Information, unknown: UnknownPlant) -> tuple[dict[str, float], ...]:
     """Open combinations, but for those of noise alone."""
     return tuple(one for one in known.named(1.0) if set(one) & set(unknown.free))
-
-
-def _covariance(known: Information, held: Mask) -> Array:
-    """Covariance (m, m); of what a bound holds its variance as if nothing were held."""
-    found, whole = known.covariance(1.0), replace(known, directions=np.eye(len(held))).covariance(1.0)
-    found[held, held] = np.diag(whole)[held]
-    return found
 
 
 def _carried_whole(parts: Sequence[StateErrors], theta: Array, held: Mask) -> bool:

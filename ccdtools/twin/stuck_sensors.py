@@ -66,7 +66,7 @@ def warn_of_spikes(argument: str, innovations: Sequence[Array], names: Sequence[
         far = np.argwhere(np.abs(one) > 3 * norm.isf(level / 2 / max(one.size, 1)))
         for run, k, j in far[:1]:
             said = f"{names[j]} is {abs(one[run, k, j]):.0f} deviations from what a fit foretells"
-            said += f" in sample {k} of run {run}"
+            said += f" in sample {k} of run {run} of those kept"
             more = f", and {len(far) - 1} other values are as odd" if len(far) > 1 else ""
             cure = "Put NaN where a sensor leaps: a fit takes it for noise of all samples."
             warnings.warn(f"{argument}[{i}]: {said}{more}. {cure}", UserWarning, stacklevel=3)

@@ -85,7 +85,7 @@ def _estimate(value: float, deviation: float | None, status: str) -> tuple[str, 
     """Value and deviation in words."""
     if status == "UNSOLVED":
         return "n/a", "n/a"
-    return number(value), number(deviation)
+    return number(value), "at a bound" if deviation == 0 else number(deviation)
 
 
 def plot_fitted(

@@ -320,8 +320,6 @@ def test_a_bound_that_holds_a_parameter_is_said():
     fit = fit_plant(problem, logged(problem, spring(0.4)), plant=narrow)
     assert fit.status.name == "AT_BOUND"
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
-    free = fit_plant(problem, logged(problem, spring(0.4)), plant=plant)
-    assert 0.3 < fit.deviations[0] / free.deviations[0] < 3  # as where nothing holds it
 
 
 @pytest.mark.long
