@@ -54,8 +54,10 @@ class FittedRun:
                 if not stages:
                     if nested is not None:
                         self._stage("nested-lqr", "Nested LQR of the model, as a baseline", nested[1])
-                    best = self.folder.read_stage("nested-lqr").arrays
-                    nominal = {NESTED: best["design"]} if "design" in best else {}
+                    best = self.folder.read_stage("nested-lqr")
+                    for why in best.values.get("report", ()):
+                        self.echo(f"  nested LQR found no design: {why}")
+                    nominal = {NESTED: best.arrays["design"]} if "design" in best.arrays else {}
                     designs = {START: study.p0, **nominal, name: stage.arrays["design"]}
                     laws = begun(law_runs, study, scenarios, designs, (), names)[1]
                 stages[name] = stage
