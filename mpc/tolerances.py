@@ -132,7 +132,7 @@ COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may h
 # Error or gain of the cost, difference from a reference, and spread of equal costs, which so has a slope, in sizes of
 # the cost or of its slope, that is rounding [-]
 COST_ROUNDING = 1e-6
-LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
+LEAST_MOVE = 0.01  # Least extent of what moves, and of a limit between the points, beside its size [-]
 JUMP_PLACE = 0.1  # Precision to which the place of a jump is known, in roots of the tolerance [-]
 JUMP_SHARE = 0.5  # Part of an input's range that, crossed within one interval, makes a jump [-]
 LEAST_INTERVAL = 1e-9  # Part of the phase below which no interval is cut [-]

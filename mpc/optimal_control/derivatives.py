@@ -106,17 +106,18 @@ class Derivatives:
         return ca.Function("hess_lag", [self.v, of_cost, multipliers], [whole])
 
     def scaled(self, kept: Any) -> tuple[Any, dict[str, ca.Function]]:
-        """Program in z = v / s, cost / c and `kept` rows / r for Ipopt.
+        """Program in z = (v − a) / s, cost / c and `kept` rows (g − b) / r for Ipopt.
 
-        Its parameters are (s, c, r): sizes change without building anew. Ipopt factorises rows without a bound, too.
+        Its parameters are (s, a, c, r, b): sizes change without building anew. Ipopt factorises rows without a bound,
+        too.
         """
-        z, given = ca.MX.sym("x", self.n), ca.MX.sym("p", self.n + 1 + len(kept))
+        z, given = ca.MX.sym("x", self.n), ca.MX.sym("p", 2 * (self.n + len(kept)) + 1)
         of_cost, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
-        s, c, r = given[: self.n], given[self.n], given[self.n + 1 :]
-        v, own = z * s, np.asarray(kept).tolist()
+        s, a, c, r, b = ca.vertsplit(given, np.cumsum([0, self.n, self.n, 1, len(kept), len(kept)]).tolist())
+        v, own = a + z * s, np.asarray(kept).tolist()
         f, g = (ca.Function(name, [self.v], [value])(v) for name, value in (("f", self.f), ("g", self.g)))
         (with_slope, slope), (with_jacobian, whole) = (function(v) for function in self.jacobian)
-        g, with_jacobian, whole, on_rows = g[own], with_jacobian[own], whole[own, :], ca.MX.zeros(self.m)
+        g, with_jacobian, whole, on_rows = g[own] - b, with_jacobian[own] - b, whole[own, :], ca.MX.zeros(self.m)
         on_rows[own] = multipliers / r
         curvature = self.hessian(v, of_cost / c, on_rows)
         rows, columns = whole.sparsity().get_triplet()

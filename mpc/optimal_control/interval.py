@@ -13,6 +13,7 @@ from mpc.optimal_control.bounds import middle
 from mpc.optimal_control.functions import slopes_of
 from mpc.optimal_control.phase import Phase, PhaseFunctions, evaluated, interpolated
 from mpc.optimal_control.schemes import MultipleShooting, Scheme
+from mpc.tolerances import LEAST_MOVE
 
 Trajectory = Callable[[Array], Sequence[Array]]
 
@@ -105,11 +106,26 @@ def coordinates(layout: Layout, mesh: Array) -> tuple[Any, Array]:
     return placed(layout, mesh, numbers).astype(int), placed(layout, mesh, fractions)
 
 
-def size_of(lower: Array, upper: Array, guess: Array) -> Array:
-    """Sizes of unknowns by bounds, else by guesses (n,) or (k, n); NaN where neither tells."""
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    size = np.where(bounded, np.maximum(np.abs(lower), np.abs(upper)), np.abs(np.atleast_2d(guess)).max(axis=0))
-    return np.where(size > 0, size, np.where(bounded, 1.0, np.nan))
+def sized(lower: Array, upper: Array, guess: Array) -> tuple[Array, Array]:
+    """Sizes of unknowns, by bounds, else by guesses (n,) or (k, n), and where they are counted from.
+
+    An unknown is as large as its values, at most as a hundred times what they are apart; NaN where neither bounds nor
+    guesses tell.
+    """
+    guess, bounded = np.atleast_2d(guess), np.isfinite(lower) & np.isfinite(upper)
+    low, high = (np.where(bounded, *pair) for pair in ((lower, guess.min(axis=0)), (upper, guess.max(axis=0))))
+    known = [np.where(np.isfinite(side), side, guess[0]) for side in (lower, upper)]
+    apart = np.ptp(np.vstack([guess, *known]), axis=0)
+    size = np.maximum(np.abs(low), np.abs(high))
+    size = np.where(apart > 0, np.minimum(size, apart / LEAST_MOVE), size)
+    size = np.where(size > 0, size, np.where(bounded, 1.0, np.nan))
+    return size, counted_from(low, high, np.nan_to_num(size))
+
+
+def counted_from(low: Any, high: Any, size: Any) -> Any:
+    """Place nearest to 0 from which no value between two is larger than their size."""
+    middle, room = (low + high) / 2, np.maximum(size - (high - low) / 2, 0.0)
+    return np.clip(0.0, middle - room, middle + room)
 
 
 def first_duration(phase: Phase) -> float:
@@ -134,13 +150,14 @@ def first_guess(phase: Phase) -> Trajectory:
 
 
 def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, layout: Layout,
-                   mesh: Array) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Bounds, guess and sizes of the unknowns (n,) of a phase."""
+                   mesh: Array) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """Bounds, guess and sizes of the unknowns (n,) of a phase, and where they are counted from."""
     trajectory = first_guess(phase)
     x, u = trajectory(mesh)
-    known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
+    known = [np.where(np.isfinite(side), side, x[0]) for side in (*phase.start, *phase.end)]
     (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
-    sizes = np.concatenate([size_of(x_low, x_high, np.vstack([x, *known])), size_of(u_low, u_high, u)])
+    of_states, of_inputs = sized(x_low, x_high, np.vstack([x, *known])), sized(u_low, u_high, u)
+    sizes, centre = (np.concatenate(pair) for pair in zip(of_states, of_inputs))
     if np.isnan(sizes).any():
         sizes = _sizes(phase, functions, parameters, mesh, x, u, sizes)
     numbers, _ = coordinates(layout, mesh)
@@ -149,7 +166,7 @@ def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, l
     for place, (low, high) in ((first, phase.start), (last, phase.end)):
         lower[place] = np.maximum(lower[place], low)
         upper[place] = np.minimum(upper[place], high)
-    return lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), sizes[numbers]
+    return lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), sizes[numbers], centre[numbers]
 
 
 def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Array, x: Array, u: Array,

@@ -62,13 +62,12 @@ class Found:
 
 def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | None, settings: Settings) -> Found:
     """Solve with the program's present sizes."""
-    size, of_cost, kept = program.scale, program.cost_scale, program.limited
-    of_rows = program.row_scale[kept]
-    given: dict[str, Any] = {
-        "x0": guess / size, "lbx": program.lower / size, "ubx": program.upper / size,
-        "lbg": program.row_lower[kept] / of_rows, "ubg": program.row_upper[kept] / of_rows,
-        "p": np.concatenate([size, [of_cost], of_rows]),
-    }  # fmt: skip
+    size, about, of_cost, kept = program.scale, program.centre, program.cost_scale, program.limited
+    of_rows, rows_about = program.row_scale[kept], program.row_centre[kept]
+    x0, lbx, ubx = ((side - about) / size for side in (guess, program.lower, program.upper))
+    lbg, ubg = ((side[kept] - rows_about) / of_rows for side in (program.row_lower, program.row_upper))
+    p = np.concatenate([size, about, [of_cost], of_rows, rows_about])
+    given: dict[str, Any] = {"x0": x0, "lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg, "p": p}
     if multipliers is not None:
         given |= {
             "lam_g0": multipliers["rows"][kept] * of_rows / of_cost,
@@ -92,7 +91,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
         z = watch.z
         residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
-    v = np.clip(z * size, program.lower, program.upper)
+    v = np.clip(about + z * size, program.lower, program.upper)
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
@@ -129,7 +128,14 @@ class BestIterate(ca.Callback):
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
-        self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": unknowns + 1 + rows}
+        self._sizes = {
+            "x": unknowns,
+            "f": 1,
+            "g": rows,
+            "lam_x": unknowns,
+            "lam_g": rows,
+            "lam_p": 2 * (unknowns + rows) + 1,
+        }
         self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)})
         self.construct("best", {})
 
@@ -174,7 +180,8 @@ def _rank(violation: float, f: float) -> tuple[float, float]:
 def _checked(program: SizedProgram, z: Array, on_rows: Array, on_bounds: Array,
              given: dict[str, Any]) -> tuple[Residuals, Array]:  # fmt: skip
     """Scaled residuals of the optimality conditions, and row violations (m,)."""
-    values = program.derivatives.stationarity(z * program.scale, on_rows / program.row_scale * program.cost_scale)
+    v = program.centre + z * program.scale
+    values = program.derivatives.stationarity(v, on_rows / program.row_scale * program.cost_scale)
     rows, gradient, of_cost = (np.asarray(value, dtype=float).ravel() for value in values)
     rows = rows / program.row_scale
     gradient, of_cost = (value * program.scale / program.cost_scale for value in (gradient, of_cost))

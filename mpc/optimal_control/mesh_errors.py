@@ -15,7 +15,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import LEAST_LIMIT_SIZE, LIMIT_PASSED, NEGLIGIBLE
+from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE
 
 
 class Missed(NamedTuple):
@@ -28,6 +28,7 @@ class Missed(NamedTuple):
 def mesh_errors(phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
     """Errors of a phase's dynamics and cost over each interval.
 
+    Those of the dynamics are beside the largest value of a state, or a hundred times its extent where that is less.
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
@@ -43,8 +44,9 @@ def mesh_errors(phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
     if phase.part.phase.discrete:
         return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
-    largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
-    size = np.maximum(largest, NEGLIGIBLE * moved)
+    along = np.vstack([phase.states, phase.stages.states.reshape(-1, phase.states.shape[1])])
+    largest, extent = np.abs(along).max(axis=0), np.ptp(along, axis=0)
+    size = np.maximum(np.minimum(largest, extent / LEAST_MOVE), NEGLIGIBLE * np.maximum(largest, moved))
     if isinstance(scheme, Collocation):
         found = _by_residual(phase, scheme, multipliers)
     else:
@@ -281,7 +283,7 @@ def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
     """Sizes (m, N) of the limits of a phase."""
     part, own, extents = phase.part, phase.part.phase.bounded, _extents(phase)
     scale = np.array([program.scale[part.first : part.last][part.coordinates[0] == i].max() for i in own])
-    size = np.maximum(extents[own], LEAST_LIMIT_SIZE * scale)
+    size = np.maximum(extents[own], LEAST_MOVE * scale)
     of_states = np.tile(size.reshape(-1, 1), (1, part.intervals))
     m, shared = len(part.functions.path_names), int(part.scheme.continuous_inputs)
     if not m or part.phase.discrete:
@@ -292,7 +294,7 @@ def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
     slopes = phase.evaluated(part.functions.path_slopes, *at).reshape(part.intervals, -1, len(extents), m)
     local = (np.abs(slopes) * extents[:, None]).max(axis=2).min(axis=1)
     scale = program.row_scale[part.path].reshape(part.intervals, -1, m).min(axis=1)
-    return np.vstack([np.maximum(local, LEAST_LIMIT_SIZE * scale).T, of_states])
+    return np.vstack([np.maximum(local, LEAST_MOVE * scale).T, of_states])
 
 
 def _extents(phase: PhaseSolution) -> Array:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from mpc.budgets import SHAKEN
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
-from mpc.optimal_control.interval import Layout, at_points, coordinates
+from mpc.optimal_control.interval import Layout, at_points, coordinates, counted_from
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_along
 from mpc.optimal_control.pieces import Numbers, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation, Scheme
-from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, NEGLIGIBLE, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, LEAST_MOVE, NEGLIGIBLE, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -107,16 +107,27 @@ class PhasePart:
 
 @dataclass(frozen=True, eq=False)
 class SizedProgram:
-    """Bounds and sizes of a program, which is what a solver needs of it."""
+    """Bounds and sizes of a program, which is what a solver needs of it.
+
+    Unknowns are `centre` plus `scale` times what the solver sees.
+    """
 
     lower: Array
     upper: Array
     scale: Array
+    centre: Array
     row_lower: Array
     row_upper: Array
     row_scale: Array
     derivatives: Derivatives
     cost_scale: float = field(default=1.0, kw_only=True)
+
+    @property
+    def row_centre(self) -> Array:
+        """Where rows (m,) are counted from: what a solver allows them beyond a bound grows with the bound."""
+        sides = np.array([self.row_lower, self.row_upper])
+        low, high = np.nan_to_num(np.where(np.isfinite(sides), sides, sides[::-1]), posinf=0.0, neginf=0.0)
+        return np.asarray(counted_from(low, high, self.row_scale))
 
     @property
     def limited(self) -> Numbers:
@@ -133,8 +144,8 @@ class NonlinearProgram(SizedProgram):
     problem : OptimalControlProblem
     v, f, g : casadi.MX
         Unknowns, cost and constraints.
-    lower, upper, guess, scale : (n,) arrays
-        Bounds, where to start, and sizes of the unknowns.
+    lower, upper, guess, scale, centre : (n,) arrays
+        Bounds, where to start, and sizes of the unknowns, counted from `centre`.
     cost_scale : float
     row_lower, row_upper, row_scale : (m,) arrays
     rows : tuple of Rows
@@ -178,29 +189,40 @@ class NonlinearProgram(SizedProgram):
         return [(float(start), float(length)) for start, length in (part.clock(v[part.free]) for part in self.parts)]
 
 
-def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
-    """Program with unknowns, dynamics and cost sized at unknowns (n,)."""
-    scale, row_scale = program.scale.copy(), program.row_scale.copy()
+def rescaled(program: NonlinearProgram, v: Array, *, centred: bool = False) -> NonlinearProgram:
+    """Program with unknowns, dynamics and cost sized at unknowns (n,).
+
+    If `centred` what moves by less than a hundredth of its size is counted from nearer by.
+    """
+    scale, row_scale, centre = program.scale.copy(), program.row_scale.copy(), program.centre.copy()
     for part in program.parts:
         layout = part.layout
-        own, sizes = v[part.first : part.last], scale[part.first : part.last]
+        own, sizes, about = (each[part.first : part.last] for each in (v, scale, centre))
         coordinate, _ = part.coordinates
         for i in range(layout.nx + layout.nu):
-            largest = np.abs(own[coordinate == i]).max()
-            if largest > NEGLIGIBLE * sizes[coordinate == i].max():
-                sizes[coordinate == i] = largest
+            one = coordinate == i
+            values, least = own[one], NEGLIGIBLE * sizes[one].max()
+            size = np.ptp(values) / LEAST_MOVE
+            moves = size > np.sqrt(np.finfo(float).eps) * np.abs(values).max()
+            if centred and moves and size < np.abs(values - about[one]).max():
+                about[one], least = counted_from(values.min(), values.max(), size), 0.0
+            largest = np.abs(values - about[one]).max()
+            if largest > least:
+                sizes[one] = largest
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
     places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
     own = np.concatenate([np.arange(part.first, part.last) for part in program.parts])
     loose = np.setdiff1d(np.arange(len(v))[places], own)
     loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
-    large = np.abs(v[loose])
+    large = np.abs((v - centre)[loose])
     scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     size = float(np.abs(slope * scale * (program.lower < program.upper))[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
-    return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
+    return with_sizes_of_rows(
+        replace(program, scale=scale, row_scale=row_scale, centre=centre, guess=v, cost_scale=cost_scale)
+    )
 
 
 def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
@@ -271,6 +293,7 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
         upper=np.concatenate([program.upper, np.full(2 * m, np.inf)]),
         guess=np.concatenate([start, above, below]),
         scale=np.concatenate([program.scale, program.row_scale, program.row_scale]),
+        centre=np.append(program.centre, np.zeros(2 * m)),
     )  # fmt: skip
 
 
@@ -287,7 +310,7 @@ def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearPr
     return replace(
         program, derivatives=Derivatives(pieces, n + 2 * count, m), lower=np.append(program.lower, none),
         upper=np.append(program.upper, none), guess=np.append(program.guess, none),
-        scale=np.concatenate([program.scale, sizes, np.ones(count)]),
+        scale=np.concatenate([program.scale, sizes, np.ones(count)]), centre=np.append(program.centre, none),
     )  # fmt: skip
 
 

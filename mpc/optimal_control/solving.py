@@ -186,7 +186,7 @@ class Run:
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where the first sizes were off."""
         if warm:
-            self.program = rescaled(self.program, guess)
+            self.program = rescaled(self.program, guess, centred=not self.settings.each)
         kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(3):
             found = once(self.program, guess, multipliers, self.left(warm))
@@ -196,7 +196,7 @@ class Run:
                 break
             if not found.ended:
                 break
-            sized = rescaled(self.program, found.v)
+            sized = rescaled(self.program, found.v, centred=not self.settings.each)
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break

@@ -14,7 +14,7 @@ from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.algebraic import collocated, eliminated
 from mpc.optimal_control.derivatives import Derivatives
-from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
+from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, sized, times_of
 from mpc.optimal_control.notes import check_at_guess
 from mpc.optimal_control.phase import Phase, signal_along
 from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_of
@@ -69,7 +69,7 @@ class _Assembly:
         self.problem = problem
         self.scheme = scheme
         self.meshes = meshes
-        self.unknowns: list[tuple[Array, ...]] = []  # lower and upper bounds, guesses and sizes
+        self.unknowns: list[tuple[Array, ...]] = []  # both bounds, guesses, sizes, and where they are counted from
         self.bounds: list[tuple[Array, ...]] = []  # of constraints, and their sizes
         self.kinds: list[Rows] = []
         self.pieces: list[Piece] = []
@@ -88,7 +88,7 @@ class _Assembly:
             if phase.free_duration:
                 low, high = phase.duration
                 guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
-                durations[k] = self._unknown(np.array([low]), np.array([high]), guess, guess)
+                durations[k] = self._unknown(np.array([low]), np.array([high]), guess, guess, 0 * guess)
         low, high = problem.p_bounds
         first = self._unknown(low, high, p_guess)
         self.p = first + np.arange(problem.parameters)
@@ -112,20 +112,20 @@ class _Assembly:
             if k and problem.linked:
                 self._link(k, *parts[-2:])
         self._of_parameters()
-        lower, upper, guess, scale = (np.concatenate(sides) for sides in zip(*self.unknowns))
+        lower, upper, guess, scale, centre = (np.concatenate(sides) for sides in zip(*self.unknowns))
         row_lower, row_upper, row_scale = (np.concatenate(sides) for sides in zip(*self.bounds))
         return NonlinearProgram(
-            problem=problem, lower=lower, upper=upper, guess=guess, scale=scale, row_lower=row_lower,
+            problem=problem, lower=lower, upper=upper, guess=guess, scale=scale, centre=centre, row_lower=row_lower,
             row_upper=row_upper, row_scale=row_scale, rows=tuple(self.kinds), parts=tuple(parts),
             parameters=slice(first, first + len(self.p)), costs=costs,
             derivatives=Derivatives(self.pieces, len(lower), len(row_lower)),
         )  # fmt: skip
 
-    def _unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> int:
+    def _unknown(self, lower: Array, upper: Array, guess: Array, *told: Array) -> int:
         """Append unknowns; return the place of the first."""
         first = sum(len(lower) for lower, *_ in self.unknowns)
-        size = np.nan_to_num(size_of(lower, upper, guess), nan=1.0) if scale is None else scale
-        self.unknowns.append((lower, upper, guess, size))
+        size, centre = told or sized(lower, upper, guess)
+        self.unknowns.append((lower, upper, guess, np.nan_to_num(size, nan=1.0), centre))
         return first
 
     def _rows(self, name: str, phase: int, entries: Sequence[str], fractions: Any, low: Any, high: Any,

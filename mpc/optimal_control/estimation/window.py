@@ -142,8 +142,8 @@ class WindowProgram:
             for side in (low, high)
         )
         row_size = np.concatenate([model.sizes, np.tile(np.concatenate([model.sizes, np.ones(kept.sum())]), steps)])
-        free = np.full(count, np.inf)
-        self.program = SizedProgram(-free, free, size, least, most, row_size, Derivatives(pieces, count, equations))
+        free, derivatives = np.full(count, np.inf), Derivatives(pieces, count, equations)
+        self.program = SizedProgram(-free, free, size, np.zeros(count), least, most, row_size, derivatives)
 
     def solved(self, window: Window, tolerance: float) -> tuple[Array, bool]:
         """Most likely course (k, nz), and whether it was confirmed to be an optimum."""

@@ -1,0 +1,85 @@
+"""Problems whose coordinates are counted from afar: kelvin, northings in metres, a design near a large number."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, Radau, build, refine, solve
+
+V, INF = ca.vertcat, np.inf
+
+
+def oscillator(o):
+    # Van der Pol's, from its start alone, whose speed has a lower bound
+    return Phase(
+        lambda x, u: V((1 - (x[1] - o) ** 2) * (x[0] - o) - (x[1] - o) + u, x[0] - o), 2, 1, start=[o, o + 1],
+        duration=5.0, stage_cost=lambda x, u: (x[0] - o) ** 2 + (x[1] - o) ** 2 + u**2, u_bounds=(-0.3, 1.0),
+        x_bounds=([-INF, o - 0.25], [INF, INF]),
+    )  # fmt: skip
+
+
+def carriage(o):
+    # Bryson-Denham: 4, with a wall 1/9 away
+    return Phase(
+        lambda x, u: V(x[1] - o, u), 2, 1, start=[o, o + 1], end=[o, o - 1], duration=1.0,
+        stage_cost=lambda u: u**2 / 2, x_bounds=([-INF, -INF], [o + 1 / 9, INF]),
+    )  # fmt: skip
+
+
+def carriage_by_path(o):
+    return Phase(
+        lambda x, u: V(x[1], u), 2, 1, start=[o, 1], end=[o, -1], duration=1.0, stage_cost=lambda u: u**2 / 2,
+        path=lambda x: x[0], path_bounds=(-INF, o + 1 / 9),
+    )  # fmt: skip
+
+
+def heater(o):
+    # two bodies at an ambient temperature, of which one has a limit
+    return Phase(
+        lambda x, u: V(o - x[0] + u - 2 * (x[0] - x[1]), 2 * (x[0] - x[1]) - 0.1 * (x[1] - o)), 2, 1, start=[o, o],
+        duration=6.0, stage_cost=lambda x, u: (x[1] - o - 5) ** 2 + 0.05 * u**2, u_bounds=(0, 20),
+        x_bounds=([-INF, -INF], [o + 8, INF]),
+    )  # fmt: skip
+
+
+def heavy(o):
+    # a mass to be chosen beside a large one
+    push = Phase(
+        lambda x, u, p: V(x[1], u / (1 + p[0] - o)), 2, 1, start=[0, 0], end=[1, 0], duration=2.0,
+        stage_cost=lambda u: u**2,
+    )  # fmt: skip
+    return OptimalControlProblem(
+        push, p_bounds=([o + 0.1], [o + 3]), p_cost=lambda p: 20 / (1 + p[0] - o) ** 2 + 3 * (p[0] - o)
+    )
+
+
+def sampled_pendulum(o):
+    return Phase(
+        lambda x, u: V(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sin(x[0] - o))), 2, 1, discrete=True, duration=30,
+        start=[o + 1, 0], stage_cost=lambda x, u: (x[0] - o) ** 2 + 0.1 * x[1] ** 2 + 0.5 * u**2,
+        x_bounds=([o - 0.1, -0.45], [INF, INF]), u_bounds=(-1, 1),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("offset", [300.0, 1e4, 5e6])
+@pytest.mark.parametrize("problem", [oscillator, carriage, carriage_by_path, heater, heavy, sampled_pendulum])
+@pytest.mark.parametrize("scheme", [Radau(3), MultipleShooting(4)], ids=lambda scheme: scheme.name)
+def test_an_offset_of_coordinates_changes_neither_optimum_nor_status(problem, scheme, offset):
+    near, far = (solve(build(problem(o), scheme, intervals=20)) for o in (0.0, offset))
+    assert far.status is near.status
+    assert far.cost == pytest.approx(near.cost, rel=1e-5)
+
+
+@pytest.mark.parametrize("problem", [oscillator, carriage, carriage_by_path, heater])
+def test_a_mesh_is_refined_far_from_zero_as_near_it(problem):
+    near, far = (refine(problem(o)) for o in (0.0, 5e6))
+    assert near.solved, near.advice
+    assert far.solved, far.advice
+    assert far.cost == pytest.approx(near.cost, rel=1e-5)
+
+
+def test_parameters_and_states_far_from_zero_have_the_derivatives_of_those_near_it():
+    near, far = (refine(heavy(o)) for o in (0.0, 1e4))
+    assert far.p[0] - 1e4 == pytest.approx(near.p[0], abs=1e-5)
+    held = [solve(build(heavy(o), Radau(3), intervals=20), p=[o + 1.0]) for o in (0.0, 1e4)]
+    assert held[1].p_gradient == pytest.approx(held[0].p_gradient, rel=1e-6)
