@@ -31,6 +31,7 @@ from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
 from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
+from ccdtools.tolerances import FEWEST_PAIRS
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
@@ -87,16 +88,21 @@ class Evaluation:
             steps = min(steps, len(real.disturbance.signal))
         return steps
 
-    def check_recording(self) -> None:
-        """Raise if LQR at the start design leaves X too much.
+    def check_deployment(self) -> None:
+        """Raise if a deployment has no room for trials, or LQR at the start design leaves X too much under a recording.
 
         Raises
         ------
         InputError
-            If its run diverges, or spends more than half of its samples outside X.
+            If its run diverges, or spends more than half of its samples outside X; or if updates are tried, and there
+            is no room for the pairs of one trial after as many samples to learn from.
         """
-        steps = self.deployment_steps
+        steps, trial = self.deployment_steps, self.config.online.trial
         real = self.study.real
+        if trial is not None and trial.pairs(real.runs, steps) < 2 * FEWEST_PAIRS:
+            got = f"room for {trial.pairs(real.runs, steps)} pairs in a deployment ({real.runs} runs of {steps} steps)"
+            expected = f"at least {2 * FEWEST_PAIRS}, of which half are learned from"
+            raise InputError("trial", got, expected, "State more runs, or more steps of a single one, with `real`.")
         if not isinstance(real.disturbance, Recorded):
             return
         w = self.recorded(1, "deployment")

@@ -73,7 +73,7 @@ def prepare(options: Options, asked: tuple[Study, dict[str, str]] | None = None)
             drift=options.drift,
             trial=options.trial,
         )
-        Evaluation(study, config, options.seed).check_recording()
+        Evaluation(study, config, options.seed).check_deployment()
     return PreparedRun(options, study, config, fingerprint(study, sources, config))
 
 

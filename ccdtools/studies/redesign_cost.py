@@ -132,7 +132,7 @@ class RedesignDecision:
         logs = f" ({self.logs} deployment{'s' * (self.logs > 1)})" if self.logs else ""
         best = f"{self.status.value}{logs}, worth {number(self.worth)} {self.unit} beside what is deployed"
         other = f"{self.alternative.value}, {number(self.alternative_worth)}"
-        return with_minus(f"{best}; next best: {other}; a redesign now is worth [{low}, {high}] {self.unit}")
+        return with_minus(f"{best}; next best: {other}; now it is worth [{low}, {high}] {self.unit}")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""

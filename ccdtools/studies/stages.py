@@ -118,13 +118,13 @@ class LoopStages:
         texts = [described(name, decision) for name, decision in decisions.items()]
         if worth is not None:
             texts.append(f"{dearest}: {worth}")
-            said = f"{said}; {worth}" if best is None else said
+            said = f"{said}; {texts[-1]}" if best is None else said
         redesign = {
             "proposed": space.as_dict(result.design), "accepted": best is not None, "chosen": best,
             "from": space.as_dict(current.design), "decisions": decisions,
             "texts": texts,
             "region": {"radius": radius, **asdict(doubt), "text": doubt.describe(), "edges": held},
-        } | ({} if worth is None else {"worth": worth.as_dict()})  # fmt: skip
+        } | ({} if worth is None else {"worth": worth.as_dict() | {"text": texts[-1]}})  # fmt: skip
         found = self._co_designed(result, current if best is None else proposals[best], twin, redesign)
         decided = Redesign(best is not None, moved, said)
         return replace(found, values=found.values | {"decided": asdict(decided)})

@@ -189,8 +189,10 @@ class _DeployedPolicy:
     def run(self, progress: bool) -> Deployment:
         """Result of the whole deployment."""
         runs, steps = self.whole.disturbance.shape[:2]
+        trial = self.config.trial
         parts = runs // 2 if runs > 1 else int(steps * self.config.held_out // self.config.window)
-        count = min(self.config.updates, max(0, parts - 1))  # every part keeps a window to judge on
+        parts = parts if trial is None else min(parts, trial.pairs(runs, steps) // FEWEST_PAIRS)
+        count = min(self.config.updates, max(0, parts - 1))  # a window to judge on in each, or room for a trial
         for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
             at(f"part {k + 1} of {count + 1}")
             try:
@@ -199,7 +201,7 @@ class _DeployedPolicy:
                 error.kept = self._so_far() if self.pieces else error.kept
                 raise
             self.pieces.append(piece)
-            if len(self.pieces) <= count and self._learn(piece, part[0].start) and self._may_update():
+            if len(self.pieces) <= count and self._learn(piece, part[0].start) and self.candidate is None:
                 at(f"update {k + 1} of {count}")
                 self._update()
         return self._so_far()
@@ -212,14 +214,6 @@ class _DeployedPolicy:
     def _logged(self) -> int:
         """Samples of all runs so far."""
         return sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
-
-    def _may_update(self) -> bool:
-        """Whether there is room for an update and its trial."""
-        trial = self.config.trial
-        steps = self.whole.steps
-        left = len(self.whole.x0) * steps - self._logged
-        room = (left // steps, steps) if self._several else (1, left)
-        return trial is None or (self.candidate is None and trial.pairs(*room) >= FEWEST_PAIRS)
 
     def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
         """Log of one part, begun where the last ended."""

@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import Bounds, minimize
 from scipy.stats import norm, t
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
@@ -19,9 +18,11 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory, check_clock
+from ccdtools.twin.likelihood import Likelihood, information_rows
 from ccdtools.twin.residuals import errors_in, residuals
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.stuck_sensors import warn_of_spikes, warn_of_stuck
+from ccdtools.twin.tolerances import FEWEST_FITTED
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, mean_disturbance, stated_plant
 from ccdtools_ground.door import (
     as_array,
@@ -38,7 +39,7 @@ from ccdtools_ground.outcome import Outcome
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.estimation.information import Information
 from mpc.optimal_control.estimation.parameter_estimate import in_words
-from mpc.tolerances import NEGLIGIBLE, TOLD
+from mpc.tolerances import NEGLIGIBLE
 
 NOISE = ("log factor of the variance of w", "log factor of the variance of the sensors")
 
@@ -53,7 +54,12 @@ class FitStatus(Outcome):
     )
     LASTING = (
         "Errors last: they have a mean, or one tells the next. So the log may mistake a disturbance for dynamics. "
-        "Excite the inputs more, or state a constant part, a friction or a state of the disturbance as well."
+        "Excite the inputs more, or state a constant part, a friction or a state of the disturbance as well. States "
+        "logged with noise show the same: state their sensors, Measurement(np.eye(nx), noise=…), and log outputs."
+    )
+    FEW = (
+        "Too few values are measured: with fewer than twenty for each unknown, noise and correlations counted, "
+        "intervals do not hold. Log longer, or state a plant with fewer unknown entries."
     )
     AT_BOUND = "A parameter is held by a bound of the stated plant: widen it, or doubt the plant."
     UNSOLVED = "The likelihood could not be maximised: narrow the bounds of the stated plant, or log longer."
@@ -160,7 +166,7 @@ class PlantFit(Immutable):
 
     def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> list[CoDesignProblem]:
         """Problems on plants drawn from what is known of them; parameters that are left open stay at the likeliest."""
-        self._check_known(FitStatus.LASTING, FitStatus.OPEN)
+        self._check_known(FitStatus.LASTING, FitStatus.OPEN, FitStatus.FEW)
         m = len(self.unknown.free)
         known = _inverse(self.covariance)[:m, :m]
         units = np.where(np.diag(known) > 0, np.sqrt(np.diag(known)), 1.0)
@@ -192,7 +198,7 @@ class PlantFit(Immutable):
     def _with(self, problem: CoDesignProblem, part: Any) -> PlantFit:
         """Fit with the errors of one more log."""
         errors = self.errors
-        more = _rows(*part.at(self.values)) * self.information.units
+        more = information_rows(*part.at(self.values)) * self.information.units
         known = replace(self.information, slopes=np.vstack([self.information.slopes, more]))
         covariance = known.covariance(1.0)
         if errors is not None:
@@ -214,7 +220,8 @@ def fit_plant(
 
     With sensors prediction errors are the innovations of a cubature Kalman filter at each value of the parameters, so
     inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the errors of one step,
-    less the part of the last one that a fitted correlation carries on; each state's are weighed by their size.
+    less the part of the last one that a fitted correlation carries on; each state's are weighed by their size. States
+    count as exact: noise on them is for sensors, `Measurement(np.eye(nx), noise=…)`.
     Without a `plant` a change of the nominal model is fitted that enters where w does: w + Θx x + Θu u + θ in its
     place, at every design.
 
@@ -235,9 +242,10 @@ def fit_plant(
     Returns
     -------
     PlantFit
-        Never SOLVED where the log leaves a combination open, but for factors of noise alone, a bound holds one of the
-        plant's, or the errors of states last beyond what a correlation below one explains. They count as no smaller
-        than a millionth of a state's size. Names that follow those of the plant are of noise.
+        Never SOLVED where the log leaves a combination open, but for factors of noise alone, or has fewer than
+        twenty values for each unknown; where a bound holds one of the plant's, or the errors of states last beyond
+        what a correlation below one explains. They count as no smaller than a millionth of a state's size. Names that
+        follow those of the plant are of noise.
 
     Raises
     ------
@@ -285,15 +293,12 @@ def fit_plant(
         else:
             each = [unknown.functions(problem, log.design) for log in given]
             parts = [_innovations(problem, functions, log, scaled) for functions, log in zip(each, given)]
-            found = _Likelihood(unknown, parts, len(noises))
+            found = Likelihood(unknown, parts, len(noises))
             z = found.largest()
         values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
     told = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
     known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], told)
-    open_ = _open(known, unknown)
-    status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held[: len(unknown.free)].any() else FitStatus.SOLVED
-    status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
-    covariance, freedom = known.covariance(1.0), np.inf
+    covariance, freedom = known.covariance(1.0), max(measured - len(names), 1)
     if output is None:
         scores = np.concatenate([part.scores(values, _inverse(covariance)) for part in found.parts])
         flat = np.concatenate([one.reshape(-1, len(size)) for one in left])
@@ -306,7 +311,15 @@ def fit_plant(
         innovations = [part.normalised(values) for part in found.parts]
         warn_of_spikes("logs", innovations, _output_names(problem))
         lasting = _lasting(innovations, lags=(1, 2, 4, 8))
-    status = FitStatus.LASTING if status in (FitStatus.SOLVED, FitStatus.AT_BOUND) and lasting else status
+    open_ = _open(known, unknown)
+    status = (
+        FitStatus.UNSOLVED if not found.rise(z) <= NEGLIGIBLE
+        else FitStatus.OPEN if open_
+        else FitStatus.LASTING if lasting
+        else FitStatus.FEW if measured < FEWEST_FITTED * len(names)
+        else FitStatus.AT_BOUND if held[: len(unknown.free)].any()
+        else FitStatus.SOLVED
+    )  # fmt: skip
     return PlantFit(
         names, values, covariance, status, open_, squares / measured, unknown, freedom, _left_out(several),
         information=known, errors=errors,
@@ -365,91 +378,9 @@ def _lasting(
     return bool((found > np.maximum(chance, size)).any())
 
 
-def _rows(r: Array, s: Array, dr: Array, ds: Array) -> Array:
-    """Root (2 N, m) of Fisher's information."""
-    return np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
-
-
-class _Likelihood:
-    """Likelihood of parameters, in units from their guess."""
-
-    def __init__(
-        self, unknown: UnknownPlant, parts: Sequence[Any], noises: int, end_of_noise: float = np.inf
-    ) -> None:  # fmt: skip
-        (lower, upper), none = unknown.bounds, np.zeros(noises)
-        self.parts = parts
-        self.guess = np.concatenate([(lower + upper) / 2, none])
-        self.units = np.concatenate([(upper - lower) / 2, none + 1])
-        end = np.concatenate([np.full(len(lower), np.inf if unknown.constants else 1.0), none + end_of_noise])
-        self.bounds = Bounds(-end, end, keep_feasible=True)
-        self._last: tuple[bytes, tuple[float, Array, Array, float]] | None = None
-
-    def values(self, z: Array) -> Array:
-        """Parameters (m,) as they are."""
-        return np.asarray(self.guess + self.units * z)
-
-    def at(self, z: Array) -> tuple[float, Array, Array, float]:
-        """Cost, slope, root of Fisher's information, squared innovations."""
-        key = np.asarray(z, dtype=float).tobytes()
-        if self._last is None or self._last[0] != key:
-            r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
-            dr, ds, square = dr * self.units, ds * self.units, r**2 / s
-            rows = np.linalg.qr(_rows(r, s, dr, ds), mode="r")
-            cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
-            slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
-            self._last = key, (cost, slope, np.asarray(rows), float(square.sum()))
-        return self._last[1]
-
-    def largest(self, steps: int = 5) -> Array:
-        """Likeliest point (m,), with Fisher's information as curvature."""
-        cost, slope = (lambda z: self.at(z)[0]), (lambda z: self.at(z)[1])
-        z = minimize(
-            cost, 0 * self.guess, jac=slope, hess=lambda z: self.at(z)[2].T @ self.at(z)[2], method="trust-constr",
-            bounds=self.bounds, callback=lambda z, _: self.rise(z) <= NEGLIGIBLE,
-        ).x  # fmt: skip
-        for _ in range(steps):  # along what the log tells much better than the rest its steps end early
-            if self.rise(z) <= NEGLIGIBLE or not np.isfinite(self.rise(z)):
-                break
-            z = np.clip(z - self._best_step(z)[0], self.bounds.lb, self.bounds.ub)
-        if not self.rise(z) <= NEGLIGIBLE:  # its barrier may end short of a bound, which a projection reaches
-            z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
-        return np.asarray(z)
-
-    def held(self, z: Array) -> Mask:
-        """Which of the parameters (m,) a bound holds.
-
-        It is near, and a step of the parameter alone leads to it or beyond.
-        """
-        _, slope, rows, _ = self.at(z)
-        below, above = z - self.bounds.lb, self.bounds.ub - z
-        way, push = np.minimum(below, above).clip(max=1.0), np.where(below < above, slope, -slope)
-        told = (rows**2).sum(axis=0)
-        return np.asarray((way <= NEGLIGIBLE) & (way * told - push <= np.sqrt(NEGLIGIBLE * told)))
-
-    def rise(self, z: Array) -> float:
-        """Square of the best step, in standard deviations; NaN where a filter diverges.
-
-        Neither what a bound holds nor what the log leaves open counts: along that the likelihood rises by nothing.
-        """
-        return self._best_step(z)[1]
-
-    def _best_step(self, z: Array) -> tuple[Array, float]:
-        """Gauss–Newton's step (m,) down along what the log tells, and its square in standard deviations."""
-        cost, slope, rows, _ = self.at(z)
-        move = np.zeros(len(z))
-        if not (np.isfinite(cost) and np.isfinite(rows).all()):
-            return move, float("nan")
-        free = ~self.held(z)
-        _, told, modes = np.linalg.svd(rows[:, free])
-        modes, told = modes[: len(told)][told > TOLD], told[told > TOLD]
-        step = modes @ slope[free] / told
-        move[free] = modes.T @ (step / told)
-        return move, float(step @ step)
-
-
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
-) -> tuple[_Likelihood, Array, list[Array], Array]:
+) -> tuple[Likelihood, Array, list[Array], Array]:
     """Criterion, its least point, the errors left there, and their size (nx,).
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
@@ -461,7 +392,7 @@ def _of_states(
     size = problem.state_scale
     for _ in range(rounds):
         parts = [StateErrors.of(step, mean, size).along(*log) for step, log in zip(steps, kept)]
-        found = _Likelihood(unknown, parts, problem.model.nx, end_of_noise=1.0)
+        found = Likelihood(unknown, parts, problem.model.nx, end_of_noise=1.0)
         z = found.largest()
         left = [part.predicted(found.values(z))[0] for part in parts]
         square = np.concatenate([(size * e).reshape(-1, len(size)) ** 2 for e in left]).mean(axis=0)

@@ -3,7 +3,7 @@
 RUNAWAY = 1e3  # Draws are stopped where they exceed this many times the largest logged state.
 EXCITED = 0.05  # Least squares leave directions of states and inputs that vary less than this part of the largest.
 HELD_OUT = 0.2  # This part of every block of a log is held out by default.
-FEWEST_FITTED = 20  # Quantiles are fitted to at least so many samples.
+FEWEST_FITTED = 20  # Quantiles, and each unknown of a plant, are fitted to at least so many samples.
 
 RECENT = 20  # So many errors before a window tell how rough it may become.
 

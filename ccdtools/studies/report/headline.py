@@ -10,7 +10,7 @@ from ccdtools.plants.tolerances import SAME_DESIGN
 from ccdtools.studies.names import FORMER
 from ccdtools.studies.report.formatting import capitalised, design_text, limits_of
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
-from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
+from ccdtools.studies.report.summary import bare, deployed_codesign, drifts, of_word
 from ccdtools.studies.report.verdicts import outside_text, percent_of_reference, reference_of, size_of, verdict
 from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT, SMALL_PART
 
@@ -32,26 +32,33 @@ def headline(results: Results) -> str:
     changes = [idle] if idle else _generations(results)
     cost = "; ".join(part for part in (_cost(results, last), held_out_phrase(results)) if part)
     sentences = [
-        cost, _worse(results), _policy(results, last), _limits(results, last), _judged_by(results), "; ".join(changes),
-        *_missed_predictions(results),
+        cost, _worn(results), _worse(results), _policy(results, last), _limits(results, last), _judged_by(results),
+        "; ".join(changes), *_missed_predictions(results),
     ]  # fmt: skip
     text = " ".join(f"{capitalised(sentence)}." for sentence in sentences if sentence)
     return f"QUICK run, not a result. {text}" if results["quick"] else text
 
 
 def _missed_predictions(results: Results) -> list[str]:
-    """Deployments whose 95 % interval lies below the predicted one."""
-    said = []
+    """Deployments whose 95 % interval lies below the predicted one, once where nothing new is deployed."""
+    said, missed = [], False
     for generation in results["generations"]:
         expected, found = (generation["delivery"].get(name, {}) for name in ("predicted", "returns"))
         ends = (expected.get("ci95", (None,))[0], found.get("ci95", (None,))[-1])
-        redesign = generation["redesign"]
-        if None not in ends and ends[0] > ends[1] and expected["mean"] and (redesign is None or redesign["accepted"]):
+        before, missed = missed, None not in ends and ends[0] > ends[1] and bool(expected["mean"])
+        if missed and not (before and generation["redesign"] and not generation["redesign"]["accepted"]):
             less = share((expected["mean"] - found["mean"]) / abs(expected["mean"]))
             returns = " → ".join(with_minus(number(one["mean"])) for one in (expected, found))
             said.append(f"the deployment of generation {generation['generation']} returned {less} less than predicted "
                         f"({returns}; 95 % intervals apart)")  # fmt: skip
     return said
+
+
+def _worn(results: Results) -> str:
+    """Phrase for a real plant that did not stay the same."""
+    drifted = [f"generation {one['generation']} found that the plant had changed" for one in drifts(results)]
+    met = "all of this is on the real plant as the last generation met it" if results.get("real_plant_changes") else ""
+    return "; ".join(part for part in (met, *drifted) if part)
 
 
 def _worse(results: Results) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ccdtools.evidence.drift import DriftStatus
 from ccdtools.evidence.percent import number, percent_interval, with_minus, word_of_change
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.report.verdicts import in_percent
@@ -107,7 +108,9 @@ def next_steps(results: Values) -> list[str]:
     worse = ", ".join(bare(name) for name in of_word(results, "worse"))
     if worse:
         steps.append(f"{worse} got worse: if that matters, weigh it in the objective or limit it, and run again")
-    found = deployed_codesign(results)
+    last = len(results["generations"])
+    steps += [one["drift"]["advice"].strip().removesuffix(".") for one in drifts(results) if one["generation"] == last]
+    found = None if len(steps) > bool(worse) else deployed_codesign(results)  # of another plant
     advice = found["codesign"]["advice"].strip().removesuffix(".") if found else ""
     if found:
         named = [f"{name} ({side} bound)" for name, side in found["active_bounds"].items()]
@@ -115,6 +118,12 @@ def next_steps(results: Values) -> list[str]:
         general = "Widen the named bounds, or relax the named constraints"
         advice = advice.replace(general, f"Widen or relax {', '.join(named)}") if named else advice
     return [*steps, advice] if advice else steps
+
+
+def drifts(results: Values) -> list[Values]:
+    """Generations whose deployment showed that the plant had changed."""
+    found = DriftStatus.DRIFT.value
+    return [one for one in results["generations"] if one.get("drift", {}).get("status") == found]
 
 
 def deployed_codesign(results: Values) -> Values | None:

@@ -74,9 +74,25 @@ def test_a_recording_is_refused_that_keeps_the_plant_outside_for_half_of_its_sam
     evaluation = Evaluation(study, replace(configuration(study), model_runs=20), 0)
     if refused:
         with pytest.raises(InputError, match=r"is outside X in 8.% of the samples"):
-            evaluation.check_recording()
+            evaluation.check_deployment()
     else:
-        evaluation.check_recording()
+        evaluation.check_deployment()
+
+
+@pytest.mark.parametrize(("runs", "refused"), [(79, True), (80, False)])
+def test_trials_without_room_are_refused_before_anything_is_trained(runs, refused):
+    plant = decaying(lambda x, w: 0.1 * x + w, continuous=False)
+    study = Study(
+        name="one", title="One", plant=plant, X=UNIT, U=UNIT, objective=QuadraticObjective([[1.0]], [[1.0]]),
+        disturbance=Gaussian([0.1]), x0=[0.5], p0=[1.5], steps=20,
+        real=RealPlant(plant, Gaussian([0.1]), x0=[0.0], runs=runs, steps=20),
+    )  # fmt: skip
+    evaluation = Evaluation(study, configuration(study, trial=True), 0)
+    if refused:
+        with pytest.raises(InputError, match=r"trial: got room for 39 pairs .* expected at least 40"):
+            evaluation.check_deployment()
+    else:
+        evaluation.check_deployment()
 
 
 @pytest.mark.parametrize(("steps", "enough"), [(170, False), (1500, True)])

@@ -3,6 +3,7 @@
 import pytest
 
 from ccdtools.co_design.result import CoDesignStatus
+from ccdtools.evidence.drift import DriftStatus
 from ccdtools.evidence.percent import number, percent_interval, share, signed_percent, with_minus
 from ccdtools.studies.report.gains import held_out_rows
 from ccdtools.studies.report.headline import headline
@@ -287,8 +288,21 @@ def test_the_headline_says_that_a_deployment_returned_less_than_predicted():
         one["returns"] = {"mean": -63.0, "ci95": [-99.0, -48.0]}
     assert headline(results).count("less than predicted") == 1
     assert "The deployment of generation 1 returned 40 % less than predicted (−45.00 → −63.00;" in headline(results)
-    first["returns"]["ci95"][1] = -45.5
+    first["returns"]["ci95"][1] = -45.5  # as predicted, so that the second is news
+    assert "The deployment of generation 2 returned 40 % less than predicted" in headline(results)
+    second["returns"]["ci95"][1] = -45.5
     assert "predicted" not in headline(results)
+
+
+def test_a_plant_that_changed_is_said_first_and_asks_for_another_log():
+    results = outcome(100, 80, 80)
+    results["real_plant_changes"] = True
+    results["generations"][-1]["drift"] = {"status": "drift", "advice": DriftStatus.DRIFT.advice}
+    said = headline(results)
+    assert "All of this is on the real plant as the last generation met it; generation 2 found that" in said
+    assert next_steps(results) == ["The twin no longer describes the plant: log again, then redesign"]
+    results["generations"][-1]["drift"] = {"status": "no drift", "advice": DriftStatus.NONE.advice}
+    assert "found that the plant" not in headline(results)
 
 
 @pytest.mark.parametrize(
