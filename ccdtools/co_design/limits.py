@@ -188,7 +188,7 @@ class LimitsOutcome:
     def __str__(self) -> str:
         where = "samples outside the limits" if self.outputs else "states outside X"
         achieved = f"{self.achieved.fraction:.2%} of the {where}, peak depth {self.achieved.depth:.3g}"
-        asked = f"tolerance {self.tolerance.fraction:.2%} and {self.tolerance.depth:.3g} ({self.source})"
+        asked = f"tolerance {min(self.tolerance.fraction, 1.0):.2%} and {self.tolerance.depth:.3g} ({self.source})"
         name = "limits" if self.outputs else "state limits"
         if not self.kept:
             cure = "Raise limit_tolerance or iterations, or deploy with the filter."

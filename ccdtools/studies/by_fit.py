@@ -61,7 +61,8 @@ class FittedGeneration:
         What former logs told; None of the first generation.
     predicted, gain : PairedDifference or None
         Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
-        the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
+        the interval, but how an `IdentifiedChange` depends on the design; and on fresh common runs of the real plant,
+        None where no redesign was tried there.
     accepted : bool
         Whether what was designed for the fit, or at first, is in service.
     moved : bool

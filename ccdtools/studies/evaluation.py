@@ -230,7 +230,7 @@ class Evaluation:
 
         def tuned(design: tuple[float, ...]) -> dict[str, Controller]:
             p = np.array(design)
-            own = {name: law(self.problem, p) for name, law in self.study.laws.items()}
+            own = {name: self.study.law(name, self.problem, p) for name in self.study.laws}
             return baselines(self.problem, p, rng=self.rng("baselines")) | own
 
         return cache(tuned)

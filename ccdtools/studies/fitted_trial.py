@@ -19,7 +19,6 @@ from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.controllers.observed import Observed
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.evidence.percent import nothing_done
-from ccdtools.exceptions import CCDError
 from ccdtools.scenario import Scenario
 from ccdtools.studies.by_fit import FittedGeneration
 from ccdtools.studies.on_sensors import LQG, OnSensors
@@ -28,7 +27,6 @@ from ccdtools.studies.side_by_side_run import Place, Trial
 from ccdtools.studies.stage_storage import Stage, log_of
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.unknown_plant import stated_plant
-from ccdtools_ground.user_functions import stopped
 from mpc import MPCError
 
 NESTED = "nested LQR"  # a design
@@ -66,13 +64,13 @@ def law_runs(
     law that cannot be made at a design is left out.
     """
     sensed = problem_of(study, known)
-    state, laws = replace(sensed, measurement=None), {LQG: saturated_lqr, **study.laws}
+    state = replace(sensed, measurement=None)
     found: dict[str, dict[Place, Trajectory]] = {use: {} for use in scenarios}
     for at, p in designs.items():
         estimator = estimator_at(sensed, p)
         for name in names:
             try:
-                law = Observed(_made(name, laws[name], state, p), estimator)
+                law = Observed(saturated_lqr(state, p) if name == LQG else study.law(name, state, p), estimator)
             except MPCError:
                 continue
             for use, scenario in scenarios.items():
@@ -178,17 +176,6 @@ def _not_made(study: OnSensors, ends: Sequence[str], driven: Mapping[Place, Traj
         missing = [law + of for law in (LQG, *study.laws) if (at, law + of) not in driven]
         if missing:
             yield f"At {at} there is no {', no '.join(missing)}: it cannot be made there, or the design was not found."
-
-
-def _made(name: str, make: Any, problem: CoDesignProblem, p: Array) -> Any:
-    """Law at a design."""
-    try:
-        return make(problem, p)
-    except (CCDError, MPCError):
-        raise
-    except Exception as error:
-        expected = "a function of (problem, design)"
-        raise stopped(f"laws[{name!r}]", make, error, expected, at=f" at the design {p.tolist()}") from error
 
 
 def problem_of(study: OnSensors, known: Sequence[float] | Array) -> CoDesignProblem:

@@ -264,7 +264,7 @@ class LoopStages:
         ends = fit.intervals()[own]
         rows = zip(fit.names[own], fit.values, ends)
         pairs = ", ".join(f"{name} {value:.4g} [{low:.4g}, {high:.4g}]" for name, value, (low, high) in rows)
-        text = f"the logs tell {pairs}" if known else f"the model stays: {fit.advice}"
+        text = f"the logs tell {pairs}" if known else f"the model stays: {fit.advice.removesuffix('.')}"
         values = {"status": fit.status.name, "known": known, "names": fit.names[own], "text": text, "report": [text]}
         return Stage(values, {"values": fit.values[own], "intervals": ends})
 

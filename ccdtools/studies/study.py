@@ -20,7 +20,7 @@ from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
 from ccdtools.controllers.controllers import Controller
 from ccdtools.design_limits import Limits, as_limits_over, widest
 from ccdtools.disturbances.disturbance import Disturbance
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.discretisation import discretise
@@ -37,6 +37,7 @@ from ccdtools.studies.real_plant import RealPlant, check_disturbance
 from ccdtools.studies.redesign_cost import RedesignCost
 from ccdtools.twin.transport import check_disturbance_enters
 from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_positive, as_vector, as_weight, shown
+from ccdtools_ground.user_functions import stopped
 from mpc import MPCError, lqr
 
 
@@ -273,6 +274,16 @@ class Study(Immutable):
             method=self.method, sampling_guard=self.sampling_guard, compiled=True,
         )  # fmt: skip
         return as_regulated_model("plant", model)
+
+    def law(self, name: str, problem: CoDesignProblem, p: Array) -> Controller:
+        """Law of a name at a design (np,)."""
+        try:
+            return self.laws[name](problem, p)
+        except (CCDError, MPCError):
+            raise
+        except Exception as error:
+            expected, at = "a function of (problem, design)", f" at the design {p.tolist()}"
+            raise stopped(f"laws[{name!r}]", self.laws[name], error, expected, at=at) from error
 
     @property
     def real_is_model(self) -> bool:
