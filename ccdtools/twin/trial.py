@@ -81,9 +81,10 @@ def switchback_on(
     the best of several models predicts of a pair, the mean under both laws on the same disturbance, is taken out of its
     gain, or a share of it; which is best, or none, the other pairs tell. So a trial ends the sooner the better a model
     is, and one that is wrong may leave it undecided. For the level see `switchback`: what a candidate does in a gust
-    that it never drove through is not known. The margin is a part of the returns of the first 20 pairs. A law with
-    memory begins afresh in every block. A candidate that loses a run is rejected, unless both lose theirs; a run that
-    the law in service alone loses speaks for the candidate, and ends a trial of a single run.
+    that it never drove through is not known. The margin is a part of the returns of the first 20 pairs, which are
+    driven to their end, however much a candidate costs, unless a run is lost. A law with memory begins afresh in every
+    block. A candidate that loses a run is rejected, unless both lose theirs; a run that the law in service alone loses
+    speaks for the candidate, and ends a trial of a single run.
 
     Parameters
     ----------
