@@ -140,7 +140,7 @@ class PlantFit(Immutable):
 
     def __repr__(self) -> str:
         rows = zip(self.names, self.values, self.deviations)
-        said = ", ".join(f"{name}={value:.6g}±{deviation:.2g}" for name, value, deviation in rows)
+        said = ", ".join(f"{one}={at:.6g}{f'±{off:.2g}' if off > 0 else ' at its bound'}" for one, at, off in rows)
         left_out = ", {} of {} runs left out".format(*self.left_out) if self.left_out[0] else ""
         return (
             f"PlantFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g}{left_out})"
@@ -208,7 +208,7 @@ class PlantFit(Immutable):
         return replace(self, covariance=covariance, open=_open(known, self.unknown), information=known, errors=errors)
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Confidence intervals (m, 2), by Student's distribution."""
+        """Confidence intervals (m, 2), by Student's distribution; of no width where a bound holds a parameter."""
         factor = t.ppf((1 + as_share("level", level)) / 2, self.freedom)
         return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
 

@@ -320,6 +320,7 @@ def test_a_bound_that_holds_a_parameter_is_said():
     fit = fit_plant(problem, logged(problem, spring(0.4)), plant=narrow)
     assert fit.status.name == "AT_BOUND"
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
+    assert "gain=0.8 at its bound" in str(fit)
 
 
 @pytest.mark.long
