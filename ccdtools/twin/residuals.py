@@ -15,7 +15,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
 from ccdtools.exceptions import InputError, LimitWarning
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.stuck_sensors import warn_of_stuck
+from ccdtools.twin.stuck_sensors import warn_of_leaps, warn_of_stuck
 from ccdtools_ground.door import as_finite, as_instance, shown
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False, argument: str
     """One-step errors of `model` along the undiverged runs of `log`.
 
     Those of f(x, u, w, p) if it has `met` the disturbance of the log, too. Every function that takes logs of states
-    sees them as these errors, so what is wrong with a log is told here: a stuck sensor by a warning.
+    sees them as these errors, so what is wrong with a log is told here: a sensor that is stuck
+    or leaps by a warning.
 
     Raises
     ------
@@ -114,11 +115,15 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False, argument: str
     w = log.disturbances[kept] if met else np.zeros((*u.shape[:2], model.nw))
     if w.shape[2] != model.nw:
         raise InputError(argument, f"{w.shape[2]} disturbances", f"{model.nw} of the model")
-    e_next = x[:, 1:] - np.asarray(model.stepper(log.design, batch=1)(x[:, :-1], u, w))
+    step = model.stepper(log.design, batch=1)
+    foretold = np.asarray(step(x[:, :-1], u, w))
+    e_next = x[:, 1:] - foretold
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     names = log.names[:nx] or [f"x{j + 1}" for j in range(nx)]
     warn_of_stuck(argument, x[:, :-1], u, names, lambda: median_abs_deviation(e_next, axis=(0, 1), scale="normal"))
-    return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
+    found = Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
+    warn_of_leaps(argument, found.x, e_next, lambda: x[:, 2:] - step(foretold[:, :-1], u[:, 1:], w[:, 1:]), names)
+    return found
 
 
 Logs: TypeAlias = Trajectory | Residuals | Sequence[Trajectory | Residuals]

@@ -120,6 +120,36 @@ def test_a_stuck_sensor_is_told(function):
         FUNCTIONS[function](replace(LOG, states=stuck))
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_a_leap_of_a_sensor_is_told(function):
+    with pytest.warns(UserWarning, match="x1 is 3.9 in sample 30 of run 0"), suppress(InfeasibleError):
+        FUNCTIONS[function](changed("states", 3.9, at=(0, 30, 0)))
+
+
+def draws_of(kind):
+    """Disturbances (20, 100, 1) of 0.3, by the robust size of most."""
+    draws = np.random.default_rng(2)
+    if kind == "heavy tails":
+        return 0.3 * draws.standard_t(3, W.shape)
+    if kind == "two regimes":
+        return W * np.where(np.arange(20) < 5, 12, 1)[:, None, None]
+    return W + 15.0 * (draws.random(W.shape) < 0.01) * draws.choice([-1, 1], W.shape)
+
+
+@pytest.mark.parametrize("kind", ["heavy tails", "two regimes", "gusts"])
+def test_a_leap_is_told_from_what_meets_the_plant(kind):
+    held = Plant(x, u, w, p, ca.vertcat(x[0] + 0.1 * x[1], x[1] + p * u + w), PLANT.design, dt=0.1, continuous=False)
+    log = deploy(held, lambda state: state @ np.array([[-0.1], [-0.3]]), [2.0], draws_of(kind), x0=[1.0, 0.0])
+    assert np.abs(log.disturbances).max() > 12 * 0.3
+    twin = DigitalTwin(discretise(held))
+    assert twin.remembering(log).logs  # a warning is an error
+    leaping = np.array(log.states)
+    leaping[[13, 15, 17], [40, 20, 50], [1, 0, 0]] += [1e3, 1e3, 2e3]
+    with pytest.warns(UserWarning, match="x1 is .* in sample 50 of run 17 .* foretell .*, and 2 others are as odd"):
+        twin.remembering(replace(log, states=leaping))
+
+
 def test_a_disturbance_that_holds_its_value_between_jumps_is_no_stuck_sensor():
     held = Plant(x, u, w, p, ca.vertcat(0.9 * x[0] + p * u + x[1], x[1] + w), PLANT.design, dt=0.1, continuous=False)
     jumps = W * (np.random.default_rng(1).random(W.shape) < 0.02)
