@@ -155,16 +155,18 @@ def _errors(argument: str, log: Trajectory | Residuals, model: Model) -> Residua
 
 
 def errors_in(problem: CoDesignProblem, logs: Logs) -> list[Residuals]:
-    """Errors along logs; states mostly outside X are warned of."""
+    """Errors along logs; states mostly outside X, or inputs outside U, are warned of."""
     errors = errors_of(logs, problem.model)
     for log in errors:
-        inside = problem.state_limits(log.p).contains(log.x.reshape(-1, problem.model.nx)).mean()
-        if inside < 0.5:
-            warnings.warn(
-                f"{1 - inside:.0%} of the logged states lie outside X. A log has the coordinates of the problem: where "
-                "that is about a rest, deviations from it.",
-                LimitWarning, stacklevel=3,
-            )  # fmt: skip
+        of_states = ("states", "X", problem.state_limits(log.p), log.x)
+        for name, limit, limits, column in (of_states, ("inputs", "U", problem.input_limits(log.p), log.u)):
+            inside = limits.contains(column.reshape(-1, limits.dim), float(np.finfo(np.float32).eps)).mean()
+            if inside < 0.5:
+                warnings.warn(
+                    f"{1 - inside:.0%} of the logged {name} lie outside {limit}. A log has the "
+                    "coordinates of the problem: where that is about a rest, deviations from it.",
+                    LimitWarning, stacklevel=3,
+                )  # fmt: skip
     return errors
 
 

@@ -174,6 +174,17 @@ def test_other_units_are_told(function):
     small = replace(LOG, states=1000 * LOG.states)
     with pytest.warns(LimitWarning, match="lie outside X"), suppress(InfeasibleError):
         FUNCTIONS[function](small)
+    of_inputs = replace(LOG, inputs=1000 * LOG.inputs)
+    with pytest.warns(LimitWarning, match="inputs lie outside U"), suppress(InfeasibleError):
+        FUNCTIONS[function](of_inputs)
+
+
+def test_a_recorder_of_single_precision_is_no_other_unit():
+    law = saturated_lqr(replace(PROBLEM, U=(-0.1, 0.1)), [2.0])
+    log = deploy(PLANT, law, [2.0], 10 * W, x0=[1.0, 0.0])
+    rounded = replace(log, inputs=log.inputs.astype(np.float32).astype(float))
+    assert (np.abs(rounded.inputs) > 0.1).mean() > 0.5
+    assert identified_change(replace(PROBLEM, U=(-0.1, 0.1)), rounded)  # a warning is an error
 
 
 @pytest.mark.parametrize("function", ["fit_plant", "update", "disturbance_set", "robust_mpc", "replay_problem"])
