@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,12 +11,13 @@ import numpy as np
 
 from ccdtools.arrays import Array, Immutable, Indices, frozen
 from ccdtools.controllers.controllers import Controller
-from ccdtools.exceptions import InputError
+from ccdtools.controllers.signals import needs_of
+from ccdtools.exceptions import InputError, LimitWarning
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.twin import DigitalTwin
-from ccdtools.twin.windows import Drawing, Span, Windows, apart, part_spans, since_spans, whole_spans
+from ccdtools.twin.windows import Drawing, Span, Windows, apart, part_spans, since_spans, starts_of, whole_spans
 from ccdtools_ground.door import as_count, as_generator, as_instance, as_share, shown
 from learning.conformal import Conformal, samples_needed
 
@@ -108,7 +110,7 @@ def free_running_bands(
     log : Trajectory
         Of the plant under `controller`: one that the twin did not learn from, or with `held_out` its newest.
     controller : Controller
-        Closes the loop of the draws, as it did that of both logs.
+        Closes the loop of the draws, as it did that of both logs: one without memory is asked, and warned of.
     rng : numpy.random.Generator
     steps : sequence of int
         Those longer than every window that the log offers are left out, and those that too few windows calibrate.
@@ -145,6 +147,7 @@ def free_running_bands(
     split = None if held_out is None else (as_share("held_out", held_out), as_count("blocks", blocks))
     spans, folds = _split(twin, errors, split, as_count("since", since, least=0))
     horizons = _fitting(steps, spans, folds, level)
+    _warn_of_another(controller, errors, starts_of(spans, 1, windows * draws))
     drawing = Drawing(twin, controller, int(horizons[-1]), draws, windows, level)
     judged = drawing.on(errors, spans, rng)
     own = twin.logs[-1]
@@ -170,6 +173,24 @@ def held_out_bands(
     return free_running_bands(
         twin, log, controller, rng=rng, windows=150, held_out=twin.held_out, blocks=twin.blocks, since=since
     )
+
+
+def _warn_of_another(controller: Controller, errors: Residuals, at: Indices) -> None:
+    """Warn if a controller without memory did not drive samples (n, 3) of a log.
+
+    Its answers then differ from the inputs by a function of the state, which noise of exploration is not.
+    """
+    if needs_of(controller) or hasattr(controller, "reset") or hasattr(controller, "loop"):
+        return
+    x, u = (column[at[:, 0], at[:, 1]] for column in (errors.x, errors.u))
+    low, high = (end(errors.u, axis=(0, 1)) for end in (np.min, np.max))
+    off = np.clip(np.reshape(controller(x), u.shape), low, high) - u
+    known = np.column_stack([np.ones(len(x)), x])
+    told = (known @ np.linalg.lstsq(known, off)[0]) ** 2
+    if (told.mean(axis=0) > 0.5 * u.var(axis=0)).any():
+        said = "controller: its answers to logged states differ by a function of these from the logged inputs, by more"
+        cure = "Pass the controller that drove the log: bands of another loop say nothing of the twin."
+        warnings.warn(f"{said} than half of their variance. {cure}", LimitWarning, stacklevel=3)
 
 
 def _drawable(twin: DigitalTwin) -> bool:

@@ -107,7 +107,7 @@ class Drawing:
 
     def on(self, errors: Residuals, spans: Sequence[Span], rng: np.random.Generator) -> Windows:
         """Windows spread evenly over spans of a log, of which one at least is long enough."""
-        starts = _starts(spans, self.length, self.windows)
+        starts = starts_of(spans, self.length, self.windows)
         run, first = starts[:, 0], starts[:, 1]
         last = self.twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
         states = np.concatenate([errors.x, last], axis=1)
@@ -148,7 +148,7 @@ class Drawing:
         return np.moveaxis(states, 2, 0)
 
 
-def _starts(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
+def starts_of(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
     """Run, first sample and span (n, 3) of windows, spread evenly over the spans."""
     every = np.array([(run, k, i) for i, (run, first, end) in enumerate(spans) for k in range(first, end - length + 1)])
     return np.asarray(every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))])

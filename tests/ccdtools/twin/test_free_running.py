@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import betabinom
 
 from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy
+from ccdtools.exceptions import LimitWarning
 from ccdtools.twin import free_running_bands
 from learning import QuantileConfig
 from mpc import lqr
@@ -132,9 +133,37 @@ def test_samples_of_a_former_policy_are_left_out(illustrative, twin, log):
 
 def test_runs_that_run_away_are_bounded(illustrative, twin, log):
     away = LinearFeedback([[-5.0, -5.0]], [-1e3], [1e3])
-    bands = free_running_bands(twin, log, away, rng=np.random.default_rng(0), steps=[60], windows=5, draws=5)
+    with pytest.warns(LimitWarning, match="drove the log"):
+        bands = free_running_bands(twin, log, away, rng=np.random.default_rng(0), steps=[60], windows=5, draws=5)
     assert np.isfinite(bands.lower).all()
     assert (np.abs(bands.upper) <= 1e3 * np.abs(log.states).max(axis=(0, 1))).all()
+
+
+class WithMemory:
+    """A law that cannot be asked out of its loop."""
+
+    def reset(self, n):
+        self.sign = np.ones((n, 1))
+
+    def __call__(self, x):
+        self.sign *= -1.0
+        return self.sign[: len(x)] * LAW(x)
+
+
+def test_a_controller_that_did_not_drive_the_log_is_told_and_one_that_explored_is_not(illustrative, twin):
+    def asked(driving, given):
+        fresh = deploy(illustrative.plant, driving, DESIGN, coloured(2, 400, 4), x0=np.zeros(2))
+        return free_running_bands(twin, fresh, given, rng=np.random.default_rng(0), steps=[10], windows=50, draws=2)
+
+    own, draws = law(illustrative), np.random.default_rng(5)
+    for other in (LinearFeedback(-0.2 * own.K), LinearFeedback(0 * own.K)):
+        with pytest.warns(LimitWarning, match="controller: its answers .* Pass the controller that drove the log"):
+            asked(own, other)
+    for size in (0.0, 0.1, 1.0):
+        assert asked(
+            lambda x, size=size: own(x) + size * draws.standard_normal((len(x), 1)), own
+        )  # warnings are errors
+    assert asked(own, WithMemory())
 
 
 # ── the updated model that draws ──
