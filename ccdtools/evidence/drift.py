@@ -40,6 +40,8 @@ class Drift:
         Residuals that were looked at, none where too few calibrate; and how many make a block [samples].
     level : float
         Probability of any alarm in all of them without a drift, at most.
+    left_out : (int, int)
+        Runs of the log that diverged, which are not among them, of so many.
     """
 
     found: int | None
@@ -47,6 +49,7 @@ class Drift:
     samples: int
     block: int
     level: float
+    left_out: tuple[int, int] = (0, 0)
 
     @property
     def status(self) -> DriftStatus:
@@ -57,12 +60,13 @@ class Drift:
 
     def __str__(self) -> str:
         alarms = f"(false alarms: {self.level:.0%} where errors are correlated over no more than {self.block} samples)"
+        lost = ". {} of {} runs diverged and are left out".format(*self.left_out) if self.left_out[0] else ""
         if not self.samples:
-            return f"not known whether there is a drift. {self.status.advice}"
+            return f"not known whether there is a drift{lost}. {self.status.advice}"
         if self.found is None:
-            return f"no drift in {self.samples} samples {alarms}"
+            return f"no drift in {self.samples} samples {alarms}{lost}"
         since = f"drift since about sample {self.began}, known after {self.found} of {self.samples}"
-        return f"{since} {alarms}. {self.status.advice}"
+        return f"{since} {alarms}{lost}. {self.status.advice}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ccdtools.arrays import Array
@@ -26,7 +28,7 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
     twin : DigitalTwin
         After `update`.
     log : Trajectory
-        Runs that diverged are left out.
+        Runs that diverged are left out, which the result says.
     level, block
         As in `detect_drift`.
 
@@ -43,8 +45,10 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
     fresh = _in_time(now, now.e_next - twin.discrepancy.median(now))
     length = max(1, len(known) // CALIBRATION_BLOCKS) if block is None else as_count("block", block)
     if len(known) < CALIBRATION_BLOCKS * length or len(fresh) < length:
-        return Drift(None, None, 0, length, as_share("level", level))
-    return detect_drift(known, fresh, level=level, block=length)
+        found = Drift(None, None, 0, length, as_share("level", level))
+    else:
+        found = detect_drift(known, fresh, level=level, block=length)
+    return replace(found, left_out=(now.left_out, now.left_out + now.runs))
 
 
 def outside_data(twin: DigitalTwin, log: Trajectory) -> tuple[float, Array]:

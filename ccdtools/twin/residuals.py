@@ -36,6 +36,8 @@ class Residuals(Immutable):
         e⁺ = x⁺ − f(x, u, 0, p), at the measured state; f is A(p) x + B(p) u + c(p) of a linear model.
     numbers : (n,) int array
         Of the runs in their deployment, where some that diverged have been left out; 0, 1, … by default.
+    left_out : int
+        How many runs of the deployment diverged.
     """
 
     e: Array
@@ -44,6 +46,7 @@ class Residuals(Immutable):
     p: Array
     e_next: Array
     numbers: ArrayField = None
+    left_out: int = 0
 
     def __post_init__(self) -> None:
         for name in ("e", "x", "u", "p", "e_next"):
@@ -121,7 +124,8 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False, argument: str
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     names = log.names[:nx] or [f"x{j + 1}" for j in range(nx)]
     warn_of_stuck(argument, x[:, :-1], u, names, lambda: median_abs_deviation(e_next, axis=(0, 1), scale="normal"))
-    found = Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
+    p, lost = np.asarray(log.design, dtype=float), int(log.diverged.sum())
+    found = Residuals(e, x[:, :-1], u, p, e_next, np.flatnonzero(kept), lost)
     warn_of_leaps(argument, found.x, e_next, lambda: x[:, 2:] - step(foretold[:, :-1], u[:, 1:], w[:, 1:]), names)
     return found
 

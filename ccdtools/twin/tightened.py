@@ -45,6 +45,8 @@ class RobustMPC:
         Returns and violations of MPC without and with W, on the same scenarios of the problem.
     planned : float
         Share of the starts of these scenarios that have a plan, which is where the guarantee holds from.
+    left_out : (int, int)
+        Runs of the logs that diverged, whose errors are not allowed for, of so many.
     """
 
     controller: LinearMPC
@@ -55,6 +57,7 @@ class RobustMPC:
     nominal: ClosedLoopReturns
     tightened: ClosedLoopReturns
     planned: float
+    left_out: tuple[int, int] = (0, 0)
 
     @property
     def price(self) -> PairedDifference:
@@ -77,12 +80,13 @@ class RobustMPC:
         low, high = self.price.ci95
         stopped = [one.status.name for one in (self.nominal_set, self.robust_set) if one.status is not Status.CONVERGED]
         so_far = f" as far as it was found ({stopped[0]})" if stopped else ""
+        lost = "; {} of {} runs diverged: what they met is not allowed for".format(*self.left_out)
         kept = "of the errors are allowed for" if isinstance(self.W, Polytope) else "is the probability of each limit"
         return (
             f"{self.level:.4g} {kept} at a return of {self.price.mean:.4g} "
             f"[{low:.4g}, {high:.4g}] less; states outside X: {self.tightened.outside:.3%}, without "
             f"{self.nominal.outside:.3%}; volume left of X_fea{so_far}: {self.volume_left:.1%}; "
-            f"starts that have a plan: {self.planned:.1%}"
+            f"starts that have a plan: {self.planned:.1%}{lost if self.left_out[0] else ''}"
         )
 
     def __repr__(self) -> str:
@@ -157,7 +161,9 @@ def robust_mpc(
     ]
     starts = problem.scenarios.sample(len(returns[1].values), problem.steps, np.random.default_rng(seed))[0]
     planned = _planned(controllers[1], starts)
-    return RobustMPC(controllers[1], W, level, sets[0], sets[1], returns[0], returns[1], planned)
+    lost = sum(log.left_out for log in given)
+    left_out = (lost, lost + sum(log.runs for log in given))
+    return RobustMPC(controllers[1], W, level, sets[0], sets[1], returns[0], returns[1], planned, left_out)
 
 
 def _planned(controller: LinearMPC, states: Array) -> float:

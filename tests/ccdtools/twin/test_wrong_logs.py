@@ -216,3 +216,19 @@ def test_too_little_data_for_a_drift_are_a_status():
     found = drift_of_log(TWIN, short(1, 2))
     assert found.found is None
     assert found.samples == 0
+
+
+def test_runs_that_diverged_are_counted_where_a_guarantee_or_an_all_clear_is_given():
+    lost = replace(LOG, diverged_at=np.where(np.arange(20) < 17, 5, -1))
+    guaranteed = robust_mpc(PROBLEM, [2.0], lost, level=0.8, horizon=5, runs=4, rng=rng())
+    assert guaranteed.left_out == (17, 20)
+    assert "17 of 20 runs diverged: what they met is not allowed for" in str(guaranteed)
+    drift = drift_of_log(TWIN, lost)
+    assert drift.status.value == "no drift"
+    assert drift.as_dict()["left_out"] == (17, 20)
+    assert "17 of 20 runs diverged and are left out" in str(drift)
+    unknown = drift_of_log(TWIN, lost, block=100)
+    assert unknown.samples == 0
+    assert "17 of 20" in str(unknown)
+    assert "diverged" not in f"{robust_mpc(PROBLEM, [2.0], LOG, level=0.8, horizon=5, runs=4, rng=rng())}"
+    assert "diverged" not in str(drift_of_log(TWIN, LOG))
