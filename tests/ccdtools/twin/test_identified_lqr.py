@@ -182,8 +182,9 @@ def test_every_method_takes_the_model_that_a_log_tells():
 
 
 def test_mpc_of_what_a_log_tells_is_that_of_the_real_plant():
-    problem, real = replace(problem_of(), U=(-0.8, 0.3)), oscillator(1.6, 0.4)
-    updated = updated_problem(problem, identified_change(problem, logged(problem, real, wandering)))
+    wide, real = problem_of(), oscillator(1.6, 0.4)
+    problem = replace(wide, U=(-0.8, 0.3))
+    updated = updated_problem(problem, identified_change(wide, logged(wide, real, wandering)))
     pushed = FixedStart([0.5, 0.5], Gaussian([0.1], [0.4]))
     truth = replace(problem, model=discretise(oscillator(1.6)), scenarios=pushed)
     states = np.random.default_rng(0).uniform(-1, 1, (20, 2))
