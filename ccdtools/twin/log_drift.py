@@ -45,7 +45,7 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
     fresh = _in_time(now, now.e_next - twin.discrepancy.median(now))
     length = max(1, len(known) // CALIBRATION_BLOCKS) if block is None else as_count("block", block)
     if len(known) < CALIBRATION_BLOCKS * length or len(fresh) < length:
-        found = Drift(None, None, 0, length, as_share("level", level))
+        found = Drift(None, None, 0, length, as_share("level", level), len(known))
     else:
         found = detect_drift(known, fresh, level=level, block=length)
     return replace(found, left_out=(now.left_out, now.left_out + now.runs))

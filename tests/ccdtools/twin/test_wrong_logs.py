@@ -218,6 +218,13 @@ def test_too_little_data_for_a_drift_are_a_status():
     assert found.samples == 0
 
 
+def test_no_drift_says_how_many_samples_calibrated_it():
+    found = drift_of_log(TWIN, LOG)
+    assert found.calibrated == 20 * 100
+    assert "no drift in 2000 samples, calibrated by 2000 (false alarms" in str(found)
+    assert "480, 900 and 1800 samples" in found.status.advice
+
+
 def test_runs_that_diverged_are_counted_where_a_guarantee_or_an_all_clear_is_given():
     lost = replace(LOG, diverged_at=np.where(np.arange(20) < 17, 5, -1))
     guaranteed = robust_mpc(PROBLEM, [2.0], lost, level=0.8, horizon=5, runs=4, rng=rng())
