@@ -24,8 +24,8 @@ class DriftStatus(Outcome):
     """Status of a stretch of residuals."""
 
     NONE = "no drift", (
-        "No change was seen. With 480, 900 and 1800 samples to calibrate, 60 of 60 logs of 1200 samples of a spring "
-        "showed errors 2.5, 2 and 1.5 times as large; smaller changes, or smaller errors, may be missed."
+        "No change was seen, and small ones may be missed: of a spring, 480, 900 and 1800 samples to calibrate always "
+        "showed errors 2.5, 2 and 1.5 times as large, and smaller errors seldom."
     )  # fmt: skip
     UNKNOWN = "not known", "Too few samples to tell: log longer, or state a shorter block."
     DRIFT = "drift", "The twin no longer describes the plant: log again, then redesign."

@@ -186,7 +186,7 @@ def _warn_of_another(controller: Controller, errors: Residuals, at: Indices) -> 
     low, high = (end(errors.u, axis=(0, 1)) for end in (np.min, np.max))
     off = np.clip(np.reshape(controller(x), u.shape), low, high) - u
     known = np.column_stack([np.ones(len(x)), x])
-    told = (known @ np.linalg.lstsq(known, off)[0]) ** 2
+    told = (known @ np.linalg.lstsq(known, off, rcond=None)[0]) ** 2
     if (told.mean(axis=0) > 0.5 * u.var(axis=0)).any():
         said = "controller: its answers to logged states differ by a function of these from the logged inputs, by more"
         cure = "Pass the controller that drove the log: bands of another loop say nothing of the twin."

@@ -92,8 +92,8 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False, argument: str
     """One-step errors of `model` along the undiverged runs of `log`.
 
     Those of f(x, u, w, p) if it has `met` the disturbance of the log, too. Every function that takes logs of states
-    sees them as these errors, so what is wrong with a log is told here: a sensor that is stuck
-    or leaps by a warning.
+    sees them as these errors, so what is wrong with a log is told here: a sensor that is
+    stuck or leaps by a warning.
 
     Raises
     ------
