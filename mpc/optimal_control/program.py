@@ -19,7 +19,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_along
 from mpc.optimal_control.pieces import Numbers, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation, Scheme
-from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, LEAST_MOVE, NEGLIGIBLE, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, LEAST_MOVE, NEGLIGIBLE, ROUNDED_SUM, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ class PhasePart:
 class SizedProgram:
     """Bounds and sizes of a program, which is what a solver needs of it.
 
-    Unknowns are `centre` plus `scale` times what the solver sees.
+    Unknowns are `centre` plus `scale` times what the solver sees, and rows alike: what it allows them beyond a bound
+    grows with the bound.
     """
 
     lower: Array
@@ -119,15 +120,9 @@ class SizedProgram:
     row_lower: Array
     row_upper: Array
     row_scale: Array
+    row_centre: Array
     derivatives: Derivatives
     cost_scale: float = field(default=1.0, kw_only=True)
-
-    @property
-    def row_centre(self) -> Array:
-        """Where rows (m,) are counted from: what a solver allows them beyond a bound grows with the bound."""
-        sides = np.array([self.row_lower, self.row_upper])
-        low, high = np.nan_to_num(np.where(np.isfinite(sides), sides, sides[::-1]), posinf=0.0, neginf=0.0)
-        return np.asarray(counted_from(low, high, self.row_scale))
 
     @property
     def limited(self) -> Numbers:
@@ -147,7 +142,7 @@ class NonlinearProgram(SizedProgram):
     lower, upper, guess, scale, centre : (n,) arrays
         Bounds, where to start, and sizes of the unknowns, counted from `centre`.
     cost_scale : float
-    row_lower, row_upper, row_scale : (m,) arrays
+    row_lower, row_upper, row_scale, row_centre : (m,) arrays
     rows : tuple of Rows
     parts : tuple of PhasePart
     parameters : slice
@@ -189,19 +184,23 @@ class NonlinearProgram(SizedProgram):
         return [(float(start), float(length)) for start, length in (part.clock(v[part.free]) for part in self.parts)]
 
 
-def rescaled(program: NonlinearProgram, v: Array, *, centred: bool = False) -> NonlinearProgram:
+def rescaled(
+    program: NonlinearProgram, v: Array, *, centred: bool = False, unbounded: bool = False
+) -> NonlinearProgram:  # fmt: skip
     """Program with unknowns, dynamics and cost sized at unknowns (n,).
 
-    If `centred` what moves by less than a hundredth of its size is counted from nearer by.
+    If `centred`, at a solution, what moves by less than a hundredth of its size is counted from nearer by. If
+    `unbounded` bounds tell no size either, however little anything moves beside them.
     """
     scale, row_scale, centre = program.scale.copy(), program.row_scale.copy(), program.centre.copy()
+    negligible = ROUNDED_SUM if unbounded else NEGLIGIBLE
     for part in program.parts:
         layout = part.layout
         own, sizes, about = (each[part.first : part.last] for each in (v, scale, centre))
         coordinate, _ = part.coordinates
         for i in range(layout.nx + layout.nu):
             one = coordinate == i
-            values, least = own[one], NEGLIGIBLE * sizes[one].max()
+            values, least = own[one], negligible * sizes[one].max()
             size = np.ptp(values) / LEAST_MOVE
             moves = size > np.sqrt(np.finfo(float).eps) * np.abs(values).max()
             if centred and moves and size < np.abs(values - about[one]).max():
@@ -214,9 +213,9 @@ def rescaled(program: NonlinearProgram, v: Array, *, centred: bool = False) -> N
     places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
     own = np.concatenate([np.arange(part.first, part.last) for part in program.parts])
     loose = np.setdiff1d(np.arange(len(v))[places], own)
-    loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
+    loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose] | unbounded]
     large = np.abs((v - centre)[loose])
-    scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
+    scale[loose] = np.where(large > negligible * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     size = float(np.abs(slope * scale * (program.lower < program.upper))[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
@@ -225,14 +224,29 @@ def rescaled(program: NonlinearProgram, v: Array, *, centred: bool = False) -> N
     )
 
 
+def sized_as(program: NonlinearProgram, other: NonlinearProgram) -> NonlinearProgram:
+    """Program with the sizes that states, inputs and parameters have in another of the same phases."""
+    scale, centre = program.scale.copy(), program.centre.copy()
+    for own, its in ((scale, other.scale), (centre, other.centre)):
+        own[program.parameters] = its[other.parameters]
+        for part, same in zip(program.parts, other.parts):
+            numbers, _ = part.coordinates
+            _, first = np.unique(same.coordinates[0], return_index=True)  # as all points of a coordinate have
+            own[part.first : part.last] = its[same.first : same.last][first][numbers]
+            if part.duration >= 0:
+                own[part.duration] = its[same.duration]
+    return replace(program, scale=scale, centre=centre)
+
+
 def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
     """Program with constraints sized by their change over the unknowns' sizes.
 
     One size for all points of an entry, that of the point where it changes most; of unknowns that are held only where
-    it depends on no other.
+    it depends on no other. Each is counted from near that of its bounds which is nearest to its value.
     """
     row_scale = program.row_scale.copy()
-    slope = abs(program.derivatives.jacobian[1](program.guess)[1].sparse())
+    values, slope = program.derivatives.jacobian[1](program.guess)
+    slope, value = abs(slope.sparse()), np.nan_to_num(np.asarray(values, dtype=float).ravel())
     sizes = program.scale * (program.lower < program.upper), program.scale
     steepest = [slope.multiply(size[None]).max(axis=1).toarray().ravel() for size in sizes]
     for rows in program.rows:
@@ -243,7 +257,10 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
         size = np.where(free > 0, free, held)
         size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
         row_scale[rows.first : rows.last] = np.tile(size, len(own[0]))
-    return replace(program, row_scale=row_scale)
+    low, high = program.row_lower, program.row_upper
+    bound = np.where(np.abs(value - low) < np.abs(high - value), low, high)
+    bound = np.where(np.isfinite(bound), bound, 0.0)
+    return replace(program, row_scale=row_scale, row_centre=counted_from(bound, bound, row_scale))
 
 
 def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:

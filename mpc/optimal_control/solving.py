@@ -20,7 +20,15 @@ from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken, unwound
+from mpc.optimal_control.program import (
+    NonlinearProgram,
+    costs_of_scenarios,
+    elastic,
+    rescaled,
+    shaken,
+    sized_as,
+    unwound,
+)
 from mpc.optimal_control.solution import Ends, OptimalControlStatus, Solution, alike, merged
 from mpc.optimal_control.starts import as_starts, promising, with_guess, without_limits
 from mpc.optimal_control.transcription import build
@@ -114,7 +122,8 @@ class _Tries:
             return
         warm = isinstance(place, Solution)
         guess, multipliers = _from_solution(self.program, place) if isinstance(place, Solution) else (place, None)
-        run = Run(self.program, self.settings, self.began)
+        sized = sized_as(self.program, place.program) if isinstance(place, Solution) else self.program
+        run = Run(sized, self.settings, self.began)
         found = run.solved(np.clip(guess, self.program.lower, self.program.upper), multipliers, warm=warm)
         if found.ended and not found.iterations and not warm:
             found = run.elsewhere(found)
@@ -184,9 +193,25 @@ class Run:
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
+        """Solve, again where sizes were off, or bounds that are never met told them and that changes the cost."""
+        found = self._sized(guess, multipliers, warm)
+        if status_of(found) is not OptimalControlStatus.SOLVED:
+            return found
+        loose, kept = rescaled(self.program, found.v, centred=True, unbounded=True), self.program
+        if np.abs(np.log(loose.scale / kept.scale)).max(initial=0.0) < np.log(WELL_SIZED):
+            return found
+        self.program = loose
+        other, cost = self._sized(found.v, None, warm=False), self.cost(found)
+        apart = abs(self.cost(other) - cost) > COST_ROUNDING * max(abs(cost), loose.cost_scale)
+        if apart and status_of(other) is OptimalControlStatus.SOLVED:
+            return other
+        self.program = kept
+        return found
+
+    def _sized(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where the first sizes were off."""
         if warm:
-            self.program = rescaled(self.program, guess, centred=not self.settings.each)
+            self.program = rescaled(self.program, guess, centred=True)
         kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(3):
             found = once(self.program, guess, multipliers, self.left(warm))
@@ -194,13 +219,13 @@ class Run:
             if kept is not None and status_of(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
                 break
-            if not found.ended:
+            if not found.ended and status_of(found) is not OptimalControlStatus.SOLVED:
                 break
-            sized = rescaled(self.program, found.v, centred=not self.settings.each)
+            sized = rescaled(self.program, found.v, centred=True)
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
-            if status_of(found) is OptimalControlStatus.SOLVED:
+            if status_of(found) is OptimalControlStatus.SOLVED and np.array_equal(sized.centre, self.program.centre):
                 kept = self.program, found
             self.program, guess, multipliers, warm = sized, found.v, found.multipliers, True
         return found

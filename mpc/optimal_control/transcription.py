@@ -116,7 +116,8 @@ class _Assembly:
         row_lower, row_upper, row_scale = (np.concatenate(sides) for sides in zip(*self.bounds))
         return NonlinearProgram(
             problem=problem, lower=lower, upper=upper, guess=guess, scale=scale, centre=centre, row_lower=row_lower,
-            row_upper=row_upper, row_scale=row_scale, rows=tuple(self.kinds), parts=tuple(parts),
+            row_upper=row_upper, row_scale=row_scale, row_centre=0 * row_scale,
+            rows=tuple(self.kinds), parts=tuple(parts),
             parameters=slice(first, first + len(self.p)), costs=costs,
             derivatives=Derivatives(self.pieces, len(lower), len(row_lower)),
         )  # fmt: skip

@@ -143,7 +143,8 @@ class WindowProgram:
         )
         row_size = np.concatenate([model.sizes, np.tile(np.concatenate([model.sizes, np.ones(kept.sum())]), steps)])
         free, derivatives = np.full(count, np.inf), Derivatives(pieces, count, equations)
-        self.program = SizedProgram(-free, free, size, np.zeros(count), least, most, row_size, derivatives)
+        origins = np.zeros(count), np.zeros(equations)
+        self.program = SizedProgram(-free, free, size, origins[0], least, most, row_size, origins[1], derivatives)
 
     def solved(self, window: Window, tolerance: float) -> tuple[Array, bool]:
         """Most likely course (k, nz), and whether it was confirmed to be an optimum."""

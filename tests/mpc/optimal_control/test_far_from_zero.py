@@ -4,7 +4,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, Radau, build, refine, solve
+from mpc.optimal_control import (
+    MultipleShooting,
+    NonlinearMPC,
+    OptimalControlProblem,
+    Phase,
+    Radau,
+    build,
+    refine,
+    solve,
+)
 
 V, INF = ca.vertcat, np.inf
 
@@ -83,3 +92,59 @@ def test_parameters_and_states_far_from_zero_have_the_derivatives_of_those_near_
     assert far.p[0] - 1e4 == pytest.approx(near.p[0], abs=1e-5)
     held = [solve(build(heavy(o), Radau(3), intervals=20), p=[o + 1.0]) for o in (0.0, 1e4)]
     assert held[1].p_gradient == pytest.approx(held[0].p_gradient, rel=1e-6)
+
+
+@pytest.mark.parametrize("offset", [0.0, 5e6])
+@pytest.mark.parametrize("wide", [1.0, 300.0, 1e6])
+def test_the_far_side_of_a_row_with_two_bounds_changes_nothing(wide, offset):
+    phase = Phase(
+        lambda x, u: V(x[1], u), 2, 1, start=[offset, 1], end=[offset, -1], duration=1.0,
+        stage_cost=lambda u: u**2 / 2, path=lambda x: x[0], path_bounds=(offset - wide, offset + 1 / 9),
+    )  # fmt: skip
+    found = refine(phase)
+    assert found.solved, found.advice
+    assert found.cost == pytest.approx(4.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e4, 1e6, 1e7])
+def test_what_is_infeasible_is_so_far_from_zero(offset):
+    # from speed 1 to −1 with |u| ≤ 5 needs a way of 0.1
+    def stop(**limits):
+        end = [offset, -1]
+        return solve(
+            Phase(lambda x, u: V(x[1], u), 2, 1, start=[offset, 1], end=end, duration=1.0, u_bounds=(-5, 5), **limits)
+        )
+
+    for wall in (0.02, 0.09):
+        assert stop(path=lambda x: x[0], path_bounds=(-INF, offset + wall)).status.name == "INFEASIBLE"
+        assert stop(x_bounds=([-INF] * 2, [offset + wall, INF])).status.name == "INFEASIBLE"
+
+
+@pytest.mark.parametrize("loose", [1e3, 1e6, 1e9, 1e12, 1e20])
+def test_bounds_that_are_never_met_tell_no_size(loose):
+    def carriage_within(**bounds):
+        return refine(
+            Phase(lambda x, u: V(x[1], u), 2, 1, start=[0, 1], end=[0, -1], duration=1.0, stage_cost=lambda u: u**2 / 2,
+                  **bounds)
+        )  # fmt: skip
+
+    for found in (
+        carriage_within(x_bounds=([-loose, -loose], [1 / 9, loose])),
+        carriage_within(x_bounds=([-INF] * 2, [1 / 9, INF]), u_bounds=(-loose, loose)),
+    ):
+        assert found.solved, found.advice
+        assert found.cost == pytest.approx(4.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("loose", [1e3, 1e6, 1e9, 1e20, INF])
+@pytest.mark.parametrize("offset", [0.0, 1e4, 1e7])
+def test_a_plan_of_a_phase_in_a_loop_is_the_same_far_from_zero_and_in_loose_bounds(offset, loose):
+    phase = Phase(
+        lambda x, u: V(x[0] + 0.1 * x[1] + 0.005 * u, x[1] + 0.1 * (u - 0.1 * x[1])), 2, 1, discrete=True, duration=20,
+        u_bounds=(-1, 1), x_bounds=([offset - loose, -loose], [offset + 0.9, 0.55]),
+        stage_cost=lambda x, u: (x[0] - offset - 1) ** 2 + 0.1 * x[1] ** 2 + 0.05 * u**2,
+        terminal_cost=lambda x: 10 * (x[0] - offset - 1) ** 2,
+    )  # fmt: skip
+    plan = NonlinearMPC(phase).solve([offset + 0.5, 0.5])
+    assert plan.status.name == "SOLVED"
+    assert plan.cost == pytest.approx(1.4980308, rel=1e-6)
