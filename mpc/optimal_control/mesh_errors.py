@@ -60,7 +60,10 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
-    tau, weights = 0.5 * (tau + 1), 0.5 * weights
+    knots = len(part.phase.signal) if isinstance(part.phase.signal, np.ndarray) else 1  # of a signal's table
+    pieces = int(np.ceil(np.diff(part.mesh).max() * knots))  # of an interval
+    tau = (np.arange(pieces)[:, None] + 0.5 * (tau + 1)).ravel() / pieces
+    weights = np.tile(0.5 * weights / pieces, pieces)
     h, basis = np.diff(phase.times), scheme.basis(tau)
     k, at = np.repeat(np.arange(N), len(tau)), np.tile(tau, N)
     x, u = phase.states_within(k, at), np.clip(phase.inputs_within(k, at), *part.phase.u_bounds)

@@ -274,7 +274,8 @@ def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple
                 raise InputError(own, got, f"a function `{name}`, whose values they are of")
         return (np.zeros(0), np.zeros(0)), ()
     size = function.numel_out(0)
-    tied = {row for i, of in enumerate(function.name_in()) if of not in ("w", "t", "t0")
+    given = {"w"} if phase.free_duration else {"w", "t", "t0"}
+    tied = {row for i, of in enumerate(function.name_in()) if of not in given
             for row in function.jac_sparsity(0, i).row()}  # fmt: skip
     idle = next((i for i in range(size) if i not in tied), None)
     if idle is not None:

@@ -108,6 +108,35 @@ def test_limits_passed_between_points_of_high_degree_count_in_the_error_of_the_c
         assert 0.1 < found.cost_error / abs(found.cost - true) < 10
 
 
+@pytest.mark.parametrize(("row", "solved"), [(1, False), (333, True), (998, False)])
+def test_a_spike_of_a_signal_between_the_points_is_met_or_said(row, solved):
+    # x' = −x + u + w with a triangle of area 0.5; by three points in each of ten intervals w is 0
+    table = np.zeros((1001, 1))
+    table[row] = 50.0
+    found = refine(Phase(
+        lambda x, u, w: -x + u + w, 1, 1, start=[0.0], duration=10.0, stage_cost=lambda x, u: x**2 + u**2, signal=table,
+        u_bounds=(-5, 5),
+    ))  # fmt: skip
+    assert found.solved == solved, found.advice
+    if solved:
+        fine = solve(build(found.program.problem, Radau(3), intervals=2000))
+        assert found.cost == pytest.approx(fine.cost, rel=1e-4)
+        assert found.cost > 0.08
+    else:
+        assert "misses the dynamics by 5.0e-01" in found.advice
+
+
+def test_a_condition_on_times_alone_is_one_where_they_are_free():
+    # a unit way in two units of time takes ∫ u² = 12 / 2³
+    found = refine(Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], start_time=100.0, duration=(0.1, 9),
+        stage_cost=lambda u: u**2, boundary=lambda t0, t: t - t0 - 2,
+    ))  # fmt: skip
+    assert found.solved, found.advice
+    assert found.duration == pytest.approx(2.0, rel=1e-8)
+    assert found.cost == pytest.approx(1.5, rel=1e-8)
+
+
 def test_a_cost_off_by_its_quadrature_alone_is_said():
     # the dynamics are met exactly; what the cost charges oscillates between the points
     swept = Phase(lambda u: u, 1, 1, start=[0.0], stage_cost=lambda x, u, t: 100 * (x - ca.sin(40 * t)) ** 2 + u**2)
