@@ -141,9 +141,10 @@ class LoopPhase(Immutable):
 
     @cached_property
     def may_give(self) -> Flags:
-        """Rows that may be relaxed: not those of inputs alone."""
+        """Rows that may be relaxed: not those of inputs alone, nor those that have a price."""
         program, part = self._hard, self._hard.parts[0]
-        own, found = self.of(part, "x"), np.ones(len(program.row_lower), dtype=bool)
+        own = self.of(part, "x") & np.isinf(part.functions.path_prices[0])
+        found = np.ones(len(program.row_lower), dtype=bool)
         along = np.append(np.tile(own, self.horizon), own[self.counting(part)[-1]])
         found[part.defects] = False
         found[part.path.start :][: len(along)] = along

@@ -6,7 +6,7 @@ import pytest
 from nonlinear_programs import optimum
 
 from mpc import InputError, LinearMPC, Status
-from mpc.optimal_control import NonlinearMPC
+from mpc.optimal_control import NonlinearMPC, Phase, sampled
 
 N = 20
 UNITS = [
@@ -147,3 +147,21 @@ def test_a_linear_model_whose_weights_do_not_see_what_grows_has_the_plan_of_line
         plan = mpc.solve(x)
         assert plan.status == expected.status
         np.testing.assert_allclose(plan.inputs, expected.inputs, atol=1e-8)
+
+
+def test_a_plan_whose_limits_all_have_a_price_is_never_softened():
+    # a house in kelvin, heated for a comfort that has a price; costs of a sample are about 1e-9
+    def house(x, u, w):
+        flow = (x[1] - x[0]) / 1e5
+        return ca.vertcat((w[1] - x[0]) / 2e5 + flow, (x[0] - x[1]) / 4e4 + u[0] * 2e-6)
+
+    phase = Phase(
+        house, 2, 1, duration=24 * 900.0, u_bounds=(0, 6000), signal=np.tile([0.3, 275.0], (25, 1)),
+        stage_cost=lambda u, w: w[0] * u[0] / 3.6e6, path=lambda x: ca.vertcat(293.15 - x[0], x[0] - 296.15),
+        path_prices=(1e-3, 1e-3),
+    )  # fmt: skip
+    law, step, x = NonlinearMPC(phase, horizon=24), sampled(lambda x, u: house(x, u, [0.3, 275.0]), 900.0), [293.5, 295]
+    for _ in range(28):
+        u = law(x)
+        assert law.last_plans[0].status.name == "SOLVED"
+        x = np.array(ca.DM(step(x, u))).ravel()
