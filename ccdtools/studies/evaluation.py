@@ -99,7 +99,7 @@ class Evaluation:
         """
         steps, trial = self.deployment_steps, self.config.online.trial
         real = self.study.real
-        if trial is not None and trial.pairs(real.runs, steps) < 2 * FEWEST_PAIRS:
+        if trial is not None and self.config.online.updates and trial.pairs(real.runs, steps) < 2 * FEWEST_PAIRS:
             got = f"room for {trial.pairs(real.runs, steps)} pairs in a deployment ({real.runs} runs of {steps} steps)"
             expected = f"at least {2 * FEWEST_PAIRS}, of which half are learned from"
             raise InputError("trial", got, expected, "State more runs, or more steps of a single one, with `real`.")

@@ -73,8 +73,9 @@ def warn_of_leaps(
 ) -> None:
     """Warn of states that are off alone: an error leads into them and one out of them, but none past them.
 
-    A disturbance leads past them, too. Errors are odd where they are thrice as large as the largest of normal ones is
-    but with probability `level`. Where neighbours, or others as large, are odd too, that is how the noise is.
+    A disturbance leads past them, too, unless the next one takes it back. Errors are odd where they are thrice as large
+    as the largest of normal ones is but with probability `level`. Where neighbours, or others as large, are odd too,
+    that is how the noise is.
 
     Parameters
     ----------

@@ -233,7 +233,7 @@ def sized_as(program: NonlinearProgram, other: NonlinearProgram) -> NonlinearPro
             numbers, _ = part.coordinates
             _, first = np.unique(same.coordinates[0], return_index=True)  # as all points of a coordinate have
             own[part.first : part.last] = its[same.first : same.last][first][numbers]
-            if part.duration >= 0:
+            if min(part.duration, same.duration) >= 0:
                 own[part.duration] = its[same.duration]
     return replace(program, scale=scale, centre=centre)
 

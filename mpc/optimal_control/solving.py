@@ -195,7 +195,7 @@ class Run:
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where sizes were off, or bounds that are never met told them and that changes the cost."""
         found = self._sized(guess, multipliers, warm)
-        if status_of(found) is not OptimalControlStatus.SOLVED:
+        if warm or status_of(found) is not OptimalControlStatus.SOLVED:  # it begins with the sizes of a solution
             return found
         loose, kept = rescaled(self.program, found.v, centred=True, unbounded=True), self.program
         if np.abs(np.log(loose.scale / kept.scale)).max(initial=0.0) < np.log(WELL_SIZED):
@@ -225,7 +225,9 @@ class Run:
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
-            if status_of(found) is OptimalControlStatus.SOLVED and np.array_equal(sized.centre, self.program.centre):
+            missed = found.violations * self.program.row_scale / sized.row_scale
+            honest = np.array_equal(sized.centre, self.program.centre) or missed.max(initial=0.0) <= FEASIBLE
+            if status_of(found) is OptimalControlStatus.SOLVED and honest:
                 kept = self.program, found
             self.program, guess, multipliers, warm = sized, found.v, found.multipliers, True
         return found
