@@ -1,9 +1,9 @@
 """A run that stops by itself, and says so in its report."""
 
-from dataclasses import re
+import re
+from dataclasses import replace
 
 import pytest
-import replace
 
 from ccdtools import Gaussian
 from ccdtools.studies import Generations, RedesignCost, RunFolder, configuration
