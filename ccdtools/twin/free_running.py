@@ -147,9 +147,9 @@ def free_running_bands(
     split = None if held_out is None else (as_share("held_out", held_out), as_count("blocks", blocks))
     spans, folds = _split(twin, errors, split, as_count("since", since, least=0))
     horizons = _fitting(steps, spans, folds, level)
-    _warn_of_another(controller, errors, starts_of(spans, 1, windows * draws))
     drawing = Drawing(twin, controller, int(horizons[-1]), draws, windows, level)
     judged = drawing.on(errors, spans, rng)
+    _warn_of_another(controller, errors, starts_of(spans, 1, windows * draws))  # which can drive, as was seen
     own = twin.logs[-1]
     former = part_spans(own, twin.held_out, twin.blocks, last=False)
     trained = drawing.on(own, former, rng) if apart(former, drawing.length, 1) else None
@@ -185,7 +185,7 @@ def _warn_of_another(controller: Controller, errors: Residuals, at: Indices) -> 
         return
     x, u = (column[at[:, 0], at[:, 1]] for column in (errors.x, errors.u))
     answers = np.asarray(as_controller(controller)(x))
-    if answers.size != u.size or len(x) < 3 * (1 + x.shape[1]):  # a simulation says what is wrong with answers
+    if answers.size != u.size or len(x) < 3 * (1 + x.shape[1]):
         return
     low, high = (end(errors.u, axis=(0, 1)) for end in (np.min, np.max))
     off = np.clip(answers.astype(float).reshape(u.shape), low, high) - u

@@ -61,7 +61,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
     knots = len(part.phase.signal) if isinstance(part.phase.signal, np.ndarray) else 1  # of a signal's table
-    pieces = -(-knots // N)  # of an interval: where later ones are long, the first mesh met nothing
+    pieces = -(-knots // N)  # of an interval, on average
     tau = (np.arange(pieces)[:, None] + 0.5 * (tau + 1)).ravel() / pieces
     weights = np.tile(0.5 * weights / pieces, pieces)
     h, basis = np.diff(phase.times), scheme.basis(tau)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import torch
 
 from ccdtools import (
     CoDesignProblem,
@@ -239,3 +240,16 @@ def test_runs_that_diverged_are_counted_where_a_guarantee_or_an_all_clear_is_giv
     assert "17 of 20" in str(unknown)
     assert "diverged" not in f"{robust_mpc(PROBLEM, [2.0], LOG, level=0.8, horizon=5, runs=4, rng=rng())}"
     assert "diverged" not in str(drift_of_log(TWIN, LOG))
+
+
+def test_bands_ask_whatever_controller_a_simulation_takes():
+    law = saturated_lqr(PROBLEM, [2.0])
+
+    class Model:
+        def predict(self, states):
+            return law(states)
+
+    for asked in (Model(), lambda x: torch.as_tensor(law(x))):  # warnings are errors here
+        free_running_bands(TWIN, LOG, asked, rng=rng(), steps=(10,))
+    with pytest.warns(LimitWarning, match="Pass the controller that drove the log"):
+        free_running_bands(TWIN, LOG, lambda x: -law(x), rng=rng(), steps=(10,))
