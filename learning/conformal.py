@@ -189,7 +189,8 @@ class AdaptiveConformal:
 
     def __post_init__(self) -> None:
         check_number(self.level, "level", 0.0, 1.0)
-        for name in ("factor", "rate", "evidence", "least"):
+        check_number(self.least, "least", 0.0, 1.0)
+        for name in ("factor", "rate", "evidence"):
             check_number(getattr(self, name), name)
         if self.calibrated is None:
             object.__setattr__(self, "calibrated", self.factor)

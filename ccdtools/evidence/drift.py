@@ -25,7 +25,7 @@ class DriftStatus(Outcome):
 
     NONE = "no drift", (
         "No change was seen, and small ones may be missed: of a spring, 480, 900 and 1800 samples to calibrate always "
-        "showed errors 2.5, 2 and 1.5 times as large, not always smaller changes or smaller errors."
+        "showed errors 2.5, 2 and 1.5 times as large, of one state nearly always; not always smaller changes or errors."
     )  # fmt: skip
     UNKNOWN = "not known", "Too few samples to tell: log longer, or state a shorter block."
     DRIFT = "drift", "The twin no longer describes the plant: log again, then redesign."

@@ -199,6 +199,8 @@ class FittedLoop:
     def __post_init__(self) -> None:
         as_instance("problem", self.problem, CoDesignProblem, "a CoDesignProblem")
         as_instance("real", self.real, RealPlant, "a RealPlant")
+        if self.real.later:
+            raise InputError("real.later", shown(self.real.later), "(): generations by fits meet one real plant")
         as_count("draws", self.draws, least=2)
         if self.trial_runs is not None:
             as_count("trial_runs", self.trial_runs, least=2)

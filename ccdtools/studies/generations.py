@@ -105,6 +105,7 @@ class Generations:
             end = stopped(found)
             if end is not None:
                 self.echo(f"Generation {generation}: {end['text']}")
+                self._meet(generation - 1)  # what it would have met, no deployment has
                 break
             twin, record = self._next(generation, found, twin, history)
             served = self._stage(
@@ -153,7 +154,7 @@ class Generations:
                              "constraints": space.constraint_names, "integer": space.integer},
             "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
             "measure": measure(study.judged_in), "optimised": measure(evaluation.problem.risk),
-            "real_plant_changes": self._real.met_by(self.generations) is not self._real.met_by(1),
+            "real_plant_changes": study.real is not self._real,
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
             "initialisation": {key: value for key, value in initial.items() if key != "report"},
             "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],

@@ -60,10 +60,11 @@ class OnSensors(Study):
             raise InputError("real.plant", "one with other outputs", f"the {self.plant.ny} of the model")
         if LQG in self.laws:
             raise InputError("laws", f"the name {LQG!r}", "another: it is a baseline of every such run")
-        plain = {"real.later": (self.real.later, ()), "filter": (self.filter, "none"),
-                 "redesign_cost": (self.redesign_cost, None), "redesign_price": (self.redesign_price, DEFAULT_PRICE),
-                 "accept_loss": (self.accept_loss, ACCEPTED_LOSS), "risk": (self.risk, MEAN),
-                 "quantile_weight": (self.quantile_weight, None)}  # fmt: skip
+        plain = {
+            "filter": (self.filter, "none"), "redesign_cost": (self.redesign_cost, None),
+            "redesign_price": (self.redesign_price, DEFAULT_PRICE), "accept_loss": (self.accept_loss, ACCEPTED_LOSS),
+            "risk": (self.risk, MEAN), "quantile_weight": (self.quantile_weight, None),
+        }  # fmt: skip
         plain |= {f"settings[{name!r}]": (self.settings.get(name), None) for name in UNREAD}
         for name, (got, usual) in plain.items():
             if got != usual:

@@ -131,7 +131,8 @@ class RedesignDecision:
         low, high = (number(end) for end in self.redesign)
         logs = f" ({self.logs} deployment{'s' * (self.logs > 1)})" if self.logs else ""
         best = f"{self.status.value}{logs}, worth {number(self.worth)} {self.unit} beside what is deployed"
-        other = f"{self.alternative.value}, {number(self.alternative_worth)}"
+        least = 1e-9 * max(map(abs, self.redesign))  # less is nothing beside what a redesign moves
+        other = f"{self.alternative.value}, {number(self.alternative_worth * (abs(self.alternative_worth) > least))}"
         return with_minus(f"{best}; next best: {other}; now it is worth [{low}, {high}] {self.unit}")
 
     def as_dict(self) -> dict[str, Any]:
@@ -214,6 +215,7 @@ def of_normal(
     Raiffa and Schlaifer, Applied statistical decision theory, 1961, chapter 5; Frazier and Powell, Paradoxes in
     learning and the marginal value of information, Decision Analysis 7(4), 2010 (why the best k).
     """
+    mean, error = float(mean), float(error)
     if not np.isfinite([mean, error]).all():
         return RedesignDecision(RedesignAction.LOG, np.nan, RedesignAction.STOP, 0.0, (np.nan, np.nan), 1, terms.unit)
     scale = terms.serves * float(terms.worth or 1.0)

@@ -19,7 +19,7 @@ from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory, check_clock
 from ccdtools.twin.likelihood import Likelihood, information_rows
-from ccdtools.twin.residuals import errors_in, residuals
+from ccdtools.twin.residuals import errors_in, residuals, warn_of_outside
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.stuck_sensors import warn_of_spikes, warn_of_stuck
 from ccdtools.twin.tolerances import FEWEST_FITTED
@@ -208,7 +208,10 @@ class PlantFit(Immutable):
         return replace(self, covariance=covariance, open=_open(known, self.unknown), information=known, errors=errors)
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Confidence intervals (m, 2), by Student's distribution; of no width where a bound holds a parameter."""
+        """Confidence intervals (m, 2), by Student's distribution; of no width where a bound holds a parameter.
+
+        With 20 to 160 values for each unknown those of 95 % held 87 to 98 % of the truths.
+        """
         factor = t.ppf((1 + as_share("level", level)) / 2, self.freedom)
         return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
 
@@ -439,6 +442,7 @@ def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
     asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)
     if sizes != asked:
         raise InputError(argument, f"{sizes[0]} outputs and {sizes[1]} inputs", f"{asked[0]} and {asked[1]}")
+    warn_of_outside("inputs", "U", problem.input_limits(p), found.inputs)
     names = _output_names(problem)
     warn_of_stuck(argument, found.outputs, found.inputs, names, lambda: np.sqrt(np.diag(kalman_filter(problem, p).V)))
     return found

@@ -20,6 +20,7 @@ from ccdtools_ground.door import as_finite, as_instance, shown
 
 if TYPE_CHECKING:
     from ccdtools.co_design.problem import CoDesignProblem
+    from invariant_sets import Polytope
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,16 +163,20 @@ def errors_in(problem: CoDesignProblem, logs: Logs) -> list[Residuals]:
     """Errors along logs; states mostly outside X, or inputs outside U, are warned of."""
     errors = errors_of(logs, problem.model)
     for log in errors:
-        of_states = ("states", "X", problem.state_limits(log.p), log.x)
-        for name, limit, limits, column in (of_states, ("inputs", "U", problem.input_limits(log.p), log.u)):
-            inside = limits.contains(column.reshape(-1, limits.dim), float(np.finfo(np.float32).eps)).mean()
-            if inside < 0.5:
-                warnings.warn(
-                    f"{1 - inside:.0%} of the logged {name} lie outside {limit}. A log has the "
-                    "coordinates of the problem: where that is about a rest, deviations from it.",
-                    LimitWarning, stacklevel=3,
-                )  # fmt: skip
+        warn_of_outside("states", "X", problem.state_limits(log.p), log.x)
+        warn_of_outside("inputs", "U", problem.input_limits(log.p), log.u)
     return errors
+
+
+def warn_of_outside(name: str, limit: str, limits: Polytope, column: Array) -> None:
+    """Warn if most of a log lies outside a limit of the problem."""
+    inside = limits.contains(column.reshape(-1, limits.dim), float(np.finfo(np.float32).eps)).mean()
+    if inside < 0.5:
+        warnings.warn(
+            f"{1 - inside:.0%} of the logged {name} lie outside {limit}. A log has the coordinates of the problem: "
+            "where that is about a rest, deviations from it.",
+            LimitWarning, stacklevel=4,
+        )  # fmt: skip
 
 
 def of_linearisation(model: Model, errors: Residuals) -> Residuals:

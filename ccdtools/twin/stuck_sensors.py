@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.stats import median_abs_deviation, norm
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Mask
 
 
 def warn_of_stuck(
@@ -21,7 +21,8 @@ def warn_of_stuck(
     wherever the signal is. So L repeats begin at one of N samples with probability N (2 Φ(q / 2σ) − 1)^L at most; q is
     the least difference of two values of the signal, none of a signal of one value. The smaller of the changes into the
     repeats and out of them, less q, takes the place of a larger σ: a plant without noise comes to rest in small steps,
-    and leaves its rest by one push. Steps in which nothing else changes either are not counted.
+    and leaves its rest by one push. Steps in which nothing else changes either, as while an input is held, are not
+    counted, and do not end a row of repeats.
 
     Parameters
     ----------
@@ -32,20 +33,22 @@ def warn_of_stuck(
         () → (m,) array of σ, of what a sample brings beyond all before it; asked only if a value is repeated.
     """
     still = np.diff(np.concatenate([signals, inputs], axis=2), axis=1) == 0
-    repeats = still[:, :, : signals.shape[2]] & ~still.all(axis=2, keepdims=True)
+    paused = still.all(axis=2)
+    repeats = still[:, :, : signals.shape[2]] & ~paused[:, :, None]
     if not repeats.any():
         return
     sigma = deviations()
     for j in map(int, np.flatnonzero(repeats.any(axis=(0, 1)) & (sigma > 0))):
-        run, first, length = _longest(repeats[:, :, j])
+        run, first, last, length = _longest(repeats[:, :, j], paused)
         step = _step(signals[run, :, j])
-        around = np.abs(np.diff(signals[run, max(first - 1, 0) : first + length + 2, j])[[0, -1]])
+        around = np.abs(np.diff(signals[run, max(first - 1, 0) : last + 3, j])[[0, -1]])
         moves = np.min([sigma[j], *(around[around > 0] - step)])
         if not moves > 0:
             continue
         chance = repeats[:, :, j].size * (2 * norm.cdf(step / (2 * moves)) - 1) ** length
         if chance <= level / len(names):
-            said = f"{names[j]} repeats {signals[run, first, j]:g} over {length + 1} samples, from {first} of run {run}"
+            value, samples = signals[run, first, j], last + 2 - first
+            said = f"{names[j]} repeats {value:g} over {samples} samples, from {first} of run {run}"
             expected = f"noise of their size leaves that to chance in less than one of {1 / level:.0e} logs"
             cure = (
                 "A sensor is stuck, or coarser than its noise, or the plant stands there: put NaN if it says nothing."
@@ -121,13 +124,12 @@ def _step(signal: Array, rounding: float = 1.2e-7) -> float:
     return float(max(steps.min() if len(steps) else 0.0, rounding * np.abs(seen).max()))
 
 
-def _longest(repeats: Array) -> tuple[int, int, int]:
-    """Run, first sample and number of the longest row of repeats (n, T)."""
-    length = np.zeros(len(repeats), dtype=int)
-    longest = (0, 0, 0)
-    for k in range(repeats.shape[1]):
-        length = np.where(repeats[:, k], length + 1, 0)
-        run = int(np.argmax(length))
-        if length[run] > longest[2]:
-            longest = (run, k + 1 - int(length[run]), int(length[run]))
-    return longest
+def _longest(repeats: Mask, paused: Mask) -> tuple[int, int, int, int]:
+    """Run, first and last step, and number of the longest row of repeats (n, T), which pauses (n, T) do not end."""
+    begins = np.pad(~(repeats | paused), ((0, 0), (1, 0)), constant_values=True)  # so rows end with their run
+    row = np.cumsum(begins) - 1
+    counted = np.pad(repeats, ((0, 0), (1, 0))).ravel()
+    number = np.bincount(row, weights=counted)
+    places = np.flatnonzero(counted & (row == number.argmax()))
+    run, first = divmod(int(places[0]), begins.shape[1])
+    return run, first - 1, first - 1 + int(places[-1] - places[0]), len(places)

@@ -160,6 +160,7 @@ def test_the_flag_takes_evidence_of_one_in_ten_thousand():
         (lambda: AdaptiveConformal(level=0.0), "level"),
         (lambda: AdaptiveConformal(factor=0.0), "factor"),
         (lambda: AdaptiveConformal(calibrated=-1.0), "calibrated"),
+        (lambda: AdaptiveConformal(least=1.0), "least"),
         (lambda: AdaptiveConformal().after(-1.0), "score"),
     ],
 )

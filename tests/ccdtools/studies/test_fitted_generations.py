@@ -214,6 +214,12 @@ def test_a_recording_that_is_shorter_than_a_deployment_is_refused_first(drive, h
         fitted_generations(replace(stated(), measurement=None), real, method="nested", rng=np.random.default_rng(2))
 
 
+def test_plants_that_no_generation_would_meet_are_refused():
+    real = RealPlant(spring(0.4), Gaussian([0.7]), [0.0, 0.0], 40, 50)
+    with pytest.raises(InputError, match=r"real\.later"):
+        fitted_generations(stated(), replace(real, later=[real]), rng=np.random.default_rng(2))
+
+
 @pytest.mark.check
 def test_a_learned_policy_goes_on_from_the_one_in_service():
     config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)

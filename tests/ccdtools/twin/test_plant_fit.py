@@ -15,6 +15,7 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
+    LimitWarning,
     LinearFeedback,
     Measurement,
     Plant,
@@ -392,6 +393,11 @@ def test_a_log_that_cannot_be_meant_is_named(log, change, words):
     }
     with pytest.raises(InputError, match=words):
         fit_plant(stated(), OutputLog(**columns))
+
+
+def test_inputs_in_other_units_are_told(log):
+    with pytest.warns(LimitWarning, match="inputs lie outside U"):
+        fit_plant(stated(), OutputLog(log.outputs, 1e3 * log.inputs, P))
 
 
 def test_wrong_problems_plants_and_kinds_are_named(log):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from small_runs import tiny
 
-from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Study
+from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Study, saturated_lqr
 from ccdtools.controllers import LearnedPolicy
 from ccdtools.scenario import Scenario
-from ccdtools.studies import Generations, RunFolder, configuration
+from ccdtools.studies import Generations, RedesignCost, RunFolder, configuration
 from invariant_sets import Polytope
 
 NOISE = Gaussian([0.1])
@@ -79,6 +79,22 @@ def test_held_out_runs_of_the_start_are_on_the_worn_plant_as_gains_are(tmp_path,
     assert start["generation"] == 0
     assert start["mean"] == results["gains"][-1]["start"]
     assert results["gains"][-1]["place"] == "gusts"
+
+
+@pytest.mark.check
+def test_a_run_that_stops_is_told_on_the_plant_that_was_met_last(tmp_path):
+    study = replace(worn(), redesign_cost=RedesignCost(cost=1e6, serves=10, unit="EUR", worth=1.0))
+    config = tiny(configuration(study, quick=True, sets="lqr"))
+    folder, quiet = RunFolder.create(tmp_path / "run"), {"echo": lambda _: None, "progress": False}
+    run = Generations(study, config, folder, generations=2, **quiet)
+    results = run.run()
+    assert results["stopped"]["status"] == "stop"
+    assert not results["real_plant_changes"]
+    assert "as the last generation met it" not in results["headline"]
+    w = NOISE.sample(500, 40, np.random.default_rng(5))
+    by_lqr = Scenario(sprung(), np.tile([0.5, 0.0], (500, 1)), w).run(saturated_lqr(run.evaluation.problem, [2.0]),
+                                                                     design=[2.0])  # fmt: skip
+    assert results["gains"][0]["start"] == pytest.approx(by_lqr.returns(study.objective).mean(), rel=0.05)
 
 
 def test_later_plants_are_of_the_same_kind_and_length():

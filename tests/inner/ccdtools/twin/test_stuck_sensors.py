@@ -34,6 +34,24 @@ def test_a_stretch_of_one_value_is_named_with_its_place(noise):
     assert "over 21 samples, from 110" in told(noise)[0] or "over 20 samples, from 111" in told(noise)[0]
 
 
+def test_inputs_that_are_held_hide_no_sensor_that_is_stuck(noise):
+    held = np.repeat(np.random.default_rng(9).standard_normal((2, 60, 1)), 5, axis=1)
+    signals = noise[..., :1]  # so nothing changes but where an input does
+
+    def said(signals):
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            warn_of_stuck("log", signals, held, NAMES[:1], lambda: np.ones(1))
+        return [str(one.message) for one in found]
+
+    assert not said(signals)
+    signals[1, 100:200] = signals[1, 99]
+    (one,) = said(signals)
+    assert "over 101 samples, from 99 of run 1" in one or "over 97 samples, from 99 of run 1" in one
+    signals[:, 200:] = signals[:, 199:200]  # to the end
+    assert len(said(signals)) == 1
+
+
 def test_one_value_all_along_is_named_too(noise):
     noise[..., 0] = 0.3
     (said,) = told(noise)
