@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import brentq
 
-from mpc.optimal_control import MultipleShooting, Phase
+from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase
 
 INF = np.inf
 V = ca.vertcat
@@ -19,7 +19,7 @@ V = ca.vertcat
 class Classical:
     """A problem, its optimal cost, where that is published, and how it is refined."""
 
-    phase: Phase
+    phase: Phase | OptimalControlProblem
     cost: float
     source: str
     options: dict[str, Any] = field(default_factory=dict)
