@@ -80,18 +80,23 @@ class Innovations:
             function = function.expand()
         return function
 
-    def at(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Innovations and variances (N,), with slopes (N, m)."""
+    def _along(self, theta: Array) -> tuple[Array, Array]:
+        """Innovations above variances, each above its slopes, (2, 1 + m, N); states foretold (n, T, nx)."""
         x, P = self.start
         first = np.concatenate([x, P.ravel(), np.zeros(len(x) * (1 + len(x)) * len(theta))])
         n, steps = self.inputs.shape[:2]
         belief, given, step = np.tile(first[:, None], n), np.tile(theta[:, None], n), self._carried.map(n)
-        before, found = np.zeros_like(self.inputs[:, 0]), []
+        before, found, foretold = np.zeros_like(self.inputs[:, 0]), [], []
         for k in range(steps):
+            foretold.append(np.asarray(belief, dtype=float)[: len(x)].T)
             belief, told = step(belief, given, before.T, self.inputs[:, k].T, self.rows[:, k].T)
             before = self.inputs[:, k]
             found.append(np.asarray(told, dtype=float))
-        told = np.concatenate(found, axis=1).reshape(2, 1 + len(theta), -1)
+        return np.concatenate(found, axis=1).reshape(2, 1 + len(theta), -1), np.stack(foretold, axis=1)
+
+    def at(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Innovations and variances (N,), with slopes (N, m)."""
+        told, _ = self._along(theta)
         return told[0, 0], told[1, 0], told[0, 1:].T, told[1, 1:].T
 
     def normalised(self, theta: Array) -> Array:
@@ -99,3 +104,7 @@ class Innovations:
         r, s, *_ = self.at(theta)
         n, steps = self.inputs.shape[:2]
         return np.asarray((r / np.sqrt(s)).reshape(-1, steps, n).transpose(2, 1, 0))
+
+    def foretold(self, theta: Array) -> Array:
+        """States (n, T, nx) by what was told before each sample."""
+        return self._along(theta)[1]

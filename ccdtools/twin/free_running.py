@@ -188,12 +188,10 @@ def _warn_of_another(controller: Controller, errors: Residuals, at: Indices) -> 
     if answers.size != u.size or len(x) < 3 * (1 + x.shape[1]):
         return
     low, high = (end(errors.u, axis=(0, 1)) for end in (np.min, np.max))
-    answers = answers.astype(float).reshape(u.shape)
-    off = np.where(high > low, np.clip(answers, low, high), answers) - u  # a constant input shows no limits
+    off = np.clip(answers.astype(float).reshape(u.shape), low, high) - u
     known = np.column_stack([np.ones(len(x)), x])
     told = (known @ np.linalg.lstsq(known, off, rcond=None)[0]) ** 2
-    rounding = (2 * float(np.finfo(np.float32).eps) * np.abs(u).max(axis=0)) ** 2
-    if (told.mean(axis=0) > 0.5 * np.maximum(u.var(axis=0), rounding)).any():
+    if (told.mean(axis=0) > 0.5 * u.var(axis=0)).any():
         said = "controller: its answers to logged states differ by a function of these from the logged inputs, by more"
         cure = "Pass the controller that drove the log: bands of another loop say nothing of the twin."
         warnings.warn(f"{said} than half of their variance. {cure}", LimitWarning, stacklevel=3)

@@ -169,12 +169,12 @@ def errors_in(problem: CoDesignProblem, logs: Logs) -> list[Residuals]:
 
 
 def warn_of_outside(name: str, limit: str, limits: Polytope, column: Array) -> None:
-    """Warn if most of a log lies outside a limit of the problem."""
-    inside = limits.contains(column.reshape(-1, limits.dim), float(np.finfo(np.float32).eps)).mean()
+    """Warn if most of a log lies outside a limit of the problem, beyond what few digits leave out."""
+    inside = limits.contains(column.reshape(-1, limits.dim), 1e-3).mean()
     if inside < 0.5:
         warnings.warn(
-            f"{1 - inside:.0%} of the logged {name} lie outside {limit}. A log has the coordinates of the problem: "
-            "where that is about a rest, deviations from it.",
+            f"{1 - inside:.0%} of the logged {name} lie outside {limit}. A log has the units and coordinates of the "
+            "problem: where that is about a rest, deviations from it.",
             LimitWarning, stacklevel=4,
         )  # fmt: skip
 

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import median_abs_deviation, norm
 
-from ccdtools.arrays import Array, Mask
+from ccdtools.arrays import Array, Indices
+
+
+class _Rows(NamedTuple):
+    """Rows of one value that a sensor told again and again, (k,) each."""
+
+    run: Indices
+    first: Indices  # sample
+    last: Indices
+    number: Array  # of repeats
+    leap: Array  # the smaller of the changes into the row and out of it
 
 
 def warn_of_stuck(
@@ -19,41 +30,57 @@ def warn_of_stuck(
 
     Gaussian noise of deviation σ, rounded to steps of q, repeats a value with probability 2 Φ(q / 2σ) − 1 at most,
     wherever the signal is. So L repeats begin at one of N samples with probability N (2 Φ(q / 2σ) − 1)^L at most; q is
-    the least difference of two values of the signal, none of a signal of one value. The smaller of the changes into the
-    repeats and out of them, less q, takes the place of a larger σ: a plant without noise comes to rest in small steps,
-    and leaves its rest by one push. Steps in which nothing else changes either, as while an input is held, are not
-    counted, and do not end a row of repeats.
+    the least difference of two values of a run. The smaller of the changes into the repeats and out of them, less q,
+    takes the place of a larger σ: a plant without noise comes to rest in small steps, and leaves its rest by one push.
+    A step in which nothing else changes either, as while an input is held, is no repeat.
 
     Parameters
     ----------
     signals : (n, T, m) array
-        NaN where a sensor told nothing.
+        NaN where a sensor told nothing: its last value stands beside its next.
     inputs : (n, T, nu) array
     deviations : callable
         () → (m,) array of σ, of what a sample brings beyond all before it; asked only if a value is repeated.
     """
-    still = np.diff(np.concatenate([signals, inputs], axis=2), axis=1) == 0
-    paused = still.all(axis=2)
-    repeats = still[:, :, : signals.shape[2]] & ~paused[:, :, None]
-    if not repeats.any():
+    rows = _rows(signals, inputs)
+    if not any(one.number.any() for one in rows):
         return
     sigma = deviations()
-    for j in map(int, np.flatnonzero(repeats.any(axis=(0, 1)) & (sigma > 0))):
-        run, first, last, length = _longest(repeats[:, :, j], paused)
-        step = _step(signals[run, :, j])
-        around = np.abs(np.diff(signals[run, max(first - 1, 0) : last + 3, j])[[0, -1]])
-        moves = np.min([sigma[j], *(around[around > 0] - step)])
-        if not moves > 0:
-            continue
-        chance = repeats[:, :, j].size * (2 * norm.cdf(step / (2 * moves)) - 1) ** length
-        if chance <= level / len(names):
-            value, samples = signals[run, first, j], last + 2 - first
-            said = f"{names[j]} repeats {value:g} over {samples} samples, from {first} of run {run}"
+    for j, one in enumerate(rows):
+        step, told = _resolution(signals[:, :, j]), np.count_nonzero(np.isfinite(signals[:, :, j]))
+        moves = np.minimum(sigma[j], one.leap - step)
+        seldom = 2 * norm.cdf(step / (2 * np.where(moves > 0, moves, np.nan))) - 1
+        chance = np.where(moves > 0, told * seldom**one.number, np.inf)
+        if chance.min(initial=np.inf) <= level / len(names):
+            k = int(chance.argmin())
+            run, first, last = (int(each[k]) for each in one[:3])
+            said = f"{names[j]} repeats {signals[run, first, j] + 0.0:g} over {last - first + 1} samples, from {first}"
             expected = f"noise of their size leaves that to chance in less than one of {1 / level:.0e} logs"
             cure = (
                 "A sensor is stuck, or coarser than its noise, or the plant stands there: put NaN if it says nothing."
             )
-            warnings.warn(f"{argument}: {said}; {expected}. {cure}", UserWarning, stacklevel=4)
+            warnings.warn(f"{argument}: {said} of run {run}; {expected}. {cure}", UserWarning, stacklevel=4)
+
+
+def _rows(signals: Array, inputs: Array) -> list[_Rows]:
+    """Rows of every sensor."""
+    told = np.isfinite(signals)
+    last = np.maximum.accumulate(np.where(told, np.arange(signals.shape[1])[:, None], 0), axis=1)
+    channels = np.concatenate([np.take_along_axis(signals, last, axis=1), inputs], axis=2)
+    before, after = channels[:, :-1], channels[:, 1:]
+    changed = np.pad((before != after) & ~np.isnan(before), ((0, 0), (1, 0), (0, 0)))
+    found = []
+    for j in range(signals.shape[2]):
+        others = np.cumsum(changed.sum(axis=2) > changed[:, :, j], axis=1)
+        run, sample = np.nonzero(told[:, :, j])
+        value, moves = signals[run, sample, j], others[run, sample]
+        begins = np.flatnonzero(np.append(True, (np.diff(run) != 0) | (np.diff(value) != 0))[: len(run)])
+        ends = np.append(begins[1:], len(run))[: len(begins)] - 1
+        repeats = np.append(0, np.cumsum(np.diff(moves) > 0))
+        leap = np.where(np.diff(run[begins]) == 0, np.abs(np.diff(value[begins])), np.inf)
+        leap = np.minimum(np.append(np.inf, leap), np.append(leap, np.inf))[: len(begins)]
+        found.append(_Rows(run[begins], sample[begins], sample[ends], repeats[ends] - repeats[begins], leap))
+    return found
 
 
 def warn_of_spikes(argument: str, innovations: Sequence[Array], names: Sequence[str], *, level: float = 1e-3) -> None:
@@ -121,15 +148,10 @@ def _step(signal: Array, rounding: float = 1.2e-7) -> float:
     """Least difference of two values, at least that of rounding: recorders have single precision."""
     seen = np.unique(signal[np.isfinite(signal)])
     steps = np.diff(seen)
-    return float(max(steps.min() if len(steps) else 0.0, rounding * np.abs(seen).max()))
+    return float(max(steps.min() if len(steps) else 0.0, rounding * np.abs(seen).max(initial=0.0)))
 
 
-def _longest(repeats: Mask, paused: Mask) -> tuple[int, int, int, int]:
-    """Run, first and last step, and number of the longest row of repeats (n, T), which pauses (n, T) do not end."""
-    begins = np.pad(~(repeats | paused), ((0, 0), (1, 0)), constant_values=True)  # so rows end with their run
-    row = np.cumsum(begins) - 1
-    counted = np.pad(repeats, ((0, 0), (1, 0))).ravel()
-    number = np.bincount(row, weights=counted)
-    places = np.flatnonzero(counted & (row == number.argmax()))
-    run, first = divmod(int(places[0]), begins.shape[1])
-    return run, first - 1, first - 1 + int(places[-1] - places[0]), len(places)
+def _resolution(signals: Array) -> float:
+    """Least difference of two values of a run (n, T), if one has two."""
+    runs = [_step(one) for one in signals if np.isfinite(one).any() and np.nanmin(one) < np.nanmax(one)]
+    return min(runs, default=_step(signals))

@@ -151,16 +151,14 @@ class WithMemory:
 
 
 def test_a_controller_that_did_not_drive_the_log_is_told_and_one_that_explored_is_not(illustrative, twin):
-    def asked(driving, given, runs=2):  # the plant runs away without a law, so short runs
-        fresh = deploy(illustrative.plant, driving, DESIGN, coloured(runs, 800 // runs, 4), x0=np.zeros(2))
+    def asked(driving, given):
+        fresh = deploy(illustrative.plant, driving, DESIGN, coloured(2, 400, 4), x0=np.zeros(2))
         return free_running_bands(twin, fresh, given, rng=np.random.default_rng(0), steps=[10], windows=50, draws=2)
 
     own, draws = law(illustrative), np.random.default_rng(5)
-    idle = LinearFeedback(0 * own.K)
-    for driving, other in ((own, LinearFeedback(-0.2 * own.K)), (own, idle), (idle, own)):
+    for other in (LinearFeedback(-0.2 * own.K), LinearFeedback(0 * own.K)):
         with pytest.warns(LimitWarning, match="controller: its answers .* Pass the controller that drove the log"):
-            asked(driving, other, runs=2 if driving is own else 20)
-    assert asked(idle, idle, runs=20)
+            asked(own, other)
     for size in (0.0, 0.1, 1.0):
         assert asked(
             lambda x, size=size: own(x) + size * draws.standard_normal((len(x), 1)), own

@@ -15,7 +15,6 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
-    LimitWarning,
     LinearFeedback,
     Measurement,
     Plant,
@@ -27,6 +26,7 @@ from ccdtools import (
 )
 from ccdtools.co_design import kalman_filter
 from ccdtools.controllers import Observed, Passive
+from ccdtools.exceptions import LimitWarning
 from ccdtools.twin import OutputLog, fit_plant, updated_problem
 
 BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])
@@ -173,8 +173,47 @@ def test_what_a_sensor_missed_tells_nothing():
     outputs = np.array(log.outputs)
     outputs[::2, 10:30] = np.nan
     some = fit_plant(problem, OutputLog(outputs, log.inputs, P))
-    assert some.status.name == "SOLVED"
+    assert gaps.status.name == "SOLVED"
+    assert some.status.name == "ANSWERED"  # the law saw what the log lost
+    with pytest.raises(InputError, match="ANSWERED"):
+        updated_problem(problem, some)
     assert half.deviations[2] > 1.2 * some.deviations[2]
+
+
+def with_gaps(law, lost, seed, gain=0.8):
+    """A log of LQR behind a filter that misses outputs, or behind one that sees what the log lost; by hand."""
+    problem, rng = stated(), np.random.default_rng(seed)
+    (A, B, E), (An, Bn, En) = (discretise(plant).matrices(P) for plant in (spring(gain), spring()))
+    K, S = np.asarray(saturated_lqr(problem, P).K), np.zeros((2, 2))
+    for _ in range(300):
+        M = S[:, :1] / (S[0, 0] + 0.05**2)
+        S = An @ (S - M @ S[:1]) @ An.T + 0.3**2 * En @ En.T
+    M = S[:, :1] / (S[0, 0] + 0.05**2)
+    missing = rng.random((RUNS, STEPS, 1)) < lost
+    x = known = np.tile(START, (RUNS, 1))
+    outputs, inputs = np.zeros((2, RUNS, STEPS, 1))
+    for k in range(STEPS):
+        outputs[:, k] = x[:, :1] + 0.05 * rng.standard_normal((RUNS, 1))
+        told = np.where(missing[:, k] & (law != "sees all"), 0.0, outputs[:, k] - known[:, :1])
+        latest = np.where(missing[:, k], outputs[:, k - 1], outputs[:, k])  # the last one told, if one is lost
+        answers = {"holds": -0.3 * latest, "open": rng.uniform(-1, 1, (RUNS, 1))}
+        inputs[:, k] = np.clip(answers.get(law, -(known + told * M.T) @ K.T), -3, 3)
+        known = (known + told * M.T) @ An.T + inputs[:, k] @ Bn.T
+        x = x @ A.T + inputs[:, k] @ B.T + 0.3 * rng.standard_normal((RUNS, 1)) @ E.T
+    outputs[missing] = np.nan
+    return OutputLog(outputs, inputs, P)
+
+
+@pytest.mark.parametrize(
+    ("law", "lost", "status"),
+    [("sees all", 0.1, "ANSWERED"), ("sees all", 0.02, "ANSWERED"), ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"),
+     ("holds", 0.05, "SOLVED")],
+)  # fmt: skip
+def test_inputs_that_answered_outputs_that_the_log_lost_are_told(law, lost, status):
+    found = fit_plant(stated(), with_gaps(law, lost, 3))
+    assert found.status.name == status
+    if status == "SOLVED":
+        assert abs(found.values[2] + 0.2) < 3.5 * found.deviations[2]
 
 
 @pytest.mark.long
