@@ -1,9 +1,9 @@
-"""Model predictive control with a state limit that may be exceeded at a price: OSQP, one problem a sample."""
+"""Model predictive control with a state limit that may be exceeded at a price: Clarabel, one problem a sample."""
 
 from __future__ import annotations
 
+import clarabel
 import numpy as np
-import osqp
 from scipy import sparse
 from scipy.linalg import solve_discrete_are
 
@@ -23,13 +23,15 @@ class RecedingHorizon:
         A, B, _ = s.sampled(p)
         self.A = A
         self.first_input = slice(horizon * len(A), horizon * len(A) + B.shape[1])
-        weight, linear = _costs(s, A, B, horizon)
-        constraints, self.lower, self.upper = _constraints(s, A, B, horizon)
-        self.solver = osqp.OSQP()
-        self.solver.setup(
-            weight, linear, constraints, self.lower, self.upper, verbose=False, eps_abs=1e-5, eps_rel=1e-5,
-            max_iter=400_000,
-        )  # fmt: skip
+        self.weight, self.linear = _costs(s, A, B, horizon)
+        rows, lower, upper = _constraints(s, A, B, horizon)
+        dynamics = horizon * len(A)  # whose bounds are equal
+        above, below = (np.flatnonzero(np.isfinite(side[dynamics:])) + dynamics for side in (upper, lower))
+        self.rows = sparse.vstack([rows[:dynamics], rows[above], -rows[below]], format="csc")
+        self.sides = np.concatenate([upper[:dynamics], upper[above], -lower[below]])
+        self.cones = [clarabel.ZeroConeT(dynamics), clarabel.NonnegativeConeT(len(above) + len(below))]
+        self.settings = clarabel.DefaultSettings()
+        self.settings.verbose = False
 
     def __call__(self, x: Array) -> Array:
         """Inputs (n, nu)."""
@@ -37,11 +39,15 @@ class RecedingHorizon:
 
     def _planned(self, x: Array) -> Array:
         """The decision variables of the best plan from x (nx,)."""
-        lower = self.lower.copy()
-        upper = self.upper.copy()
-        lower[: len(x)] = upper[: len(x)] = self.A @ x
-        self.solver.update(l=lower, u=upper)
-        return self.solver.solve(raise_error=True).x
+        sides = self.sides.copy()
+        sides[: len(x)] = self.A @ x
+        solver = clarabel.DefaultSolver(
+            sparse.triu(self.weight, format="csc"), self.linear, self.rows, sides, self.cones, self.settings
+        )
+        found = solver.solve()
+        if found.status != clarabel.SolverStatus.Solved:
+            raise RuntimeError(f"Clarabel: {found.status} from {x}")
+        return np.array(found.x)
 
 
 def _costs(s: Statement, A: Array, B: Array, N: int) -> tuple[sparse.csc_matrix, Array]:
