@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.stats import f as f_test, norm, t
+from scipy.stats import norm, t
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
 from ccdtools.co_design.measured import kalman_filter
@@ -19,6 +19,7 @@ from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory, check_clock
 from ccdtools.twin.likelihood import Likelihood, information_rows
+from ccdtools.twin.lost_outputs import Samples, inputs_answered
 from ccdtools.twin.residuals import errors_in, residuals, warn_of_outside
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.stuck_sensors import warn_of_spikes, warn_of_stuck
@@ -251,9 +252,9 @@ def fit_plant(
     -------
     PlantFit
         Never SOLVED where the log leaves a combination open, but for factors of noise alone, or has fewer than
-        twenty values for each unknown; where a bound holds one of the plant's, inputs answered outputs that the log
-        lost, or the errors of states last beyond what a correlation below one explains. They count as no smaller than
-        a millionth of a state's size. Names that follow those of the plant are of noise.
+        twenty values for each unknown; where a bound holds one of the plant's, inputs are seen to have answered
+        outputs that the log lost, or the errors of states last beyond what a correlation below one explains. They
+        count as no smaller than a millionth of a state's size. Names that follow those of the plant are of noise.
 
     Raises
     ------
@@ -319,8 +320,11 @@ def fit_plant(
         innovations = [part.normalised(values) for part in found.parts]
         warn_of_spikes("logs", innovations, _output_names(problem))
         lasting = _lasting(innovations, lags=(1, 2, 4, 8))
-        logged = zip(given, found.parts, innovations)
-        answered = any(_answered(log, part.foretold(values), told) for log, part, told in logged)
+        samples = [
+            Samples.of(log.outputs, log.inputs, part.foretold(values), told)
+            for log, part, told in zip(given, found.parts, innovations)
+        ]
+        answered = inputs_answered(samples, [tuple(log.design) for log in given])
     open_ = _open(known, unknown)
     status = (
         FitStatus.UNSOLVED if not found.rise(z) <= NEGLIGIBLE
@@ -387,41 +391,6 @@ def _lasting(
     found = np.abs(means)
     chance = norm.isf(level / found.size / 2) / np.sqrt(counts)[:, None]
     return bool((found > np.maximum(chance, size)).any())
-
-
-def _answered(log: OutputLog, foretold: Array, innovations: Array, level: float = 1e-3) -> bool:
-    """Whether inputs answered outputs that a log lost.
-
-    They then are as far from what is told, where an output is lost, as elsewhere without its innovation: a feedback of
-    states foretold, outputs told last, other innovations and the input before, fitted to each.
-    """
-    n, steps, ny = log.outputs.shape
-    missing = np.isnan(log.outputs)
-    ahead = np.maximum.accumulate(~missing.all(axis=2)[:, ::-1], axis=1)[:, ::-1]  # after that nothing misleads
-    last = np.maximum.accumulate(np.where(missing, -1, np.arange(steps)[:, None]), axis=1)
-    held = np.where(last < 0, 0.0, np.take_along_axis(log.outputs, last.clip(0), axis=1))
-    columns = [np.ones((n, steps - 1, 1)), foretold[:, 1:], held[:, :-1], log.inputs[:, :-1], innovations[:, 1:]]
-    told, inputs = np.concatenate(columns, axis=2), log.inputs[:, 1:]
-    level /= ny * inputs.shape[2]
-
-    def lost(j: int) -> bool:
-        gaps, seen = (missing[..., j] & ahead)[:, 1:], ~missing[:, 1:, j]
-        without = np.delete(told, told.shape[2] - ny + j, axis=2)
-        if min(np.count_nonzero(gaps), np.count_nonzero(seen)) <= 2 * told.shape[2]:
-            return False
-        (of_gaps, freedom), (of_others, _), (least, more) = (
-            _unexplained(one[at], inputs[at]) for one, at in ((without, gaps), (without, seen), (told, seen))
-        )
-        return bool((of_gaps > np.maximum((of_others + least) / 2, f_test.isf(level, freedom, more) * least)).any())
-
-    return any(lost(j) for j in range(ny))
-
-
-def _unexplained(features: Array, inputs: Array) -> tuple[Array, int]:
-    """Variances (nu,) of inputs that a feedback of features leaves, and their degrees of freedom."""
-    fitted, _, rank, _ = np.linalg.lstsq(features, inputs, rcond=None)
-    freedom = len(inputs) - int(rank)
-    return ((inputs - features @ fitted) ** 2).sum(axis=0) / freedom, freedom
 
 
 def _of_states(

@@ -17,7 +17,7 @@ class _Rows(NamedTuple):
 
     run: Indices
     first: Indices  # sample
-    last: Indices
+    told: Indices  # number of samples
     number: Array  # of repeats
     leap: Array  # the smaller of the changes into the row and out of it
 
@@ -30,9 +30,10 @@ def warn_of_stuck(
 
     Gaussian noise of deviation σ, rounded to steps of q, repeats a value with probability 2 Φ(q / 2σ) − 1 at most,
     wherever the signal is. So L repeats begin at one of N samples with probability N (2 Φ(q / 2σ) − 1)^L at most; q is
-    the least difference of two values of a run. The smaller of the changes into the repeats and out of them, less q,
-    takes the place of a larger σ: a plant without noise comes to rest in small steps, and leaves its rest by one push.
-    A step in which nothing else changes either, as while an input is held, is no repeat.
+    the least difference of two values of the run, or of all runs where none comes back. The smaller of the changes into
+    the repeats and out of them, less q, takes the place of a larger σ: a plant without noise comes to rest in small
+    steps, and leaves its rest by one push. A step in which nothing else changes either, as while an input is held, is
+    no repeat.
 
     Parameters
     ----------
@@ -47,14 +48,14 @@ def warn_of_stuck(
         return
     sigma = deviations()
     for j, one in enumerate(rows):
-        step, told = _resolution(signals[:, :, j]), np.count_nonzero(np.isfinite(signals[:, :, j]))
+        step, told = _resolution(signals[:, :, j])[one.run], one.told.sum()
         moves = np.minimum(sigma[j], one.leap - step)
         seldom = 2 * norm.cdf(step / (2 * np.where(moves > 0, moves, np.nan))) - 1
         chance = np.where(moves > 0, told * seldom**one.number, np.inf)
         if chance.min(initial=np.inf) <= level / len(names):
             k = int(chance.argmin())
-            run, first, last = (int(each[k]) for each in one[:3])
-            said = f"{names[j]} repeats {signals[run, first, j] + 0.0:g} over {last - first + 1} samples, from {first}"
+            run, first, samples = (int(each[k]) for each in one[:3])
+            said = f"{names[j]} repeats {signals[run, first, j] + 0.0:g} over {samples} samples, from {first}"
             expected = f"noise of their size leaves that to chance in less than one of {1 / level:.0e} logs"
             cure = (
                 "A sensor is stuck, or coarser than its noise, or the plant stands there: put NaN if it says nothing."
@@ -69,9 +70,9 @@ def _rows(signals: Array, inputs: Array) -> list[_Rows]:
     channels = np.concatenate([np.take_along_axis(signals, last, axis=1), inputs], axis=2)
     before, after = channels[:, :-1], channels[:, 1:]
     changed = np.pad((before != after) & ~np.isnan(before), ((0, 0), (1, 0), (0, 0)))
-    found = []
+    changes, found = changed.sum(axis=2), []
     for j in range(signals.shape[2]):
-        others = np.cumsum(changed.sum(axis=2) > changed[:, :, j], axis=1)
+        others = np.cumsum(changes > changed[:, :, j], axis=1)
         run, sample = np.nonzero(told[:, :, j])
         value, moves = signals[run, sample, j], others[run, sample]
         begins = np.flatnonzero(np.append(True, (np.diff(run) != 0) | (np.diff(value) != 0))[: len(run)])
@@ -79,7 +80,7 @@ def _rows(signals: Array, inputs: Array) -> list[_Rows]:
         repeats = np.append(0, np.cumsum(np.diff(moves) > 0))
         leap = np.where(np.diff(run[begins]) == 0, np.abs(np.diff(value[begins])), np.inf)
         leap = np.minimum(np.append(np.inf, leap), np.append(leap, np.inf))[: len(begins)]
-        found.append(_Rows(run[begins], sample[begins], sample[ends], repeats[ends] - repeats[begins], leap))
+        found.append(_Rows(run[begins], sample[begins], ends - begins + 1, repeats[ends] - repeats[begins], leap))
     return found
 
 
@@ -151,7 +152,11 @@ def _step(signal: Array, rounding: float = 1.2e-7) -> float:
     return float(max(steps.min() if len(steps) else 0.0, rounding * np.abs(seen).max(initial=0.0)))
 
 
-def _resolution(signals: Array) -> float:
-    """Least difference of two values of a run (n, T), if one has two."""
-    runs = [_step(one) for one in signals if np.isfinite(one).any() and np.nanmin(one) < np.nanmax(one)]
-    return min(runs, default=_step(signals))
+def _resolution(signals: Array) -> Array:
+    """Least difference of two values of each run (n, T), or of all where none of a run's comes back."""
+    steps = np.array([_step(one) for one in signals])
+    told = [one[np.isfinite(one)] for one in signals]
+    entered = [one[np.diff(one, prepend=np.nan) != 0] for one in told]
+    distinct, rows = np.array([(len(np.unique(one)), len(one)) for one in entered]).T
+    least = steps[distinct > 1].min() if (distinct > 1).any() else steps
+    return np.where(distinct < rows, steps, least)

@@ -197,6 +197,7 @@ def with_gaps(law, lost, seed, gain=0.8):
         told = np.where(missing[:, k] & (law != "sees all"), 0.0, outputs[:, k] - known[:, :1])
         latest = np.where(missing[:, k], outputs[:, k - 1], outputs[:, k])  # the last one told, if one is lost
         answers = {"holds": -0.3 * latest, "open": rng.uniform(-1, 1, (RUNS, 1))}
+        answers["pulses"] = 2 * answers["open"] * (rng.random((RUNS, 1)) < 0.05)
         inputs[:, k] = np.clip(answers.get(law, -(known + told * M.T) @ K.T), -3, 3)
         known = (known + told * M.T) @ An.T + inputs[:, k] @ Bn.T
         x = x @ A.T + inputs[:, k] @ B.T + 0.3 * rng.standard_normal((RUNS, 1)) @ E.T
@@ -207,13 +208,21 @@ def with_gaps(law, lost, seed, gain=0.8):
 @pytest.mark.parametrize(
     ("law", "lost", "status"),
     [("sees all", 0.1, "ANSWERED"), ("sees all", 0.02, "ANSWERED"), ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"),
-     ("holds", 0.05, "SOLVED")],
+     ("holds", 0.05, "SOLVED"), ("pulses", 0.1, "SOLVED")],
 )  # fmt: skip
 def test_inputs_that_answered_outputs_that_the_log_lost_are_told(law, lost, status):
     found = fit_plant(stated(), with_gaps(law, lost, 3))
     assert found.status.name == status
     if status == "SOLVED":
         assert abs(found.values[2] + 0.2) < 3.5 * found.deviations[2]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("law", "status"), [("sees all", "ANSWERED"), ("as told", "SOLVED")])
+def test_they_are_told_in_logs_of_one_run_each_too(law, status):
+    log = with_gaps(law, 0.05, 3)
+    runs = [OutputLog(log.outputs[[run]], log.inputs[[run]], P) for run in range(RUNS)]
+    assert fit_plant(stated(), runs).status.name == status
 
 
 @pytest.mark.long

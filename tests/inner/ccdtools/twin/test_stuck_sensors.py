@@ -31,7 +31,7 @@ def test_a_stretch_of_one_value_is_named_with_its_place(noise):
     assert said.startswith("log: speed repeats ")
     assert "over 32 samples, from 99 of run 1" in said
     noise[1, 110:120:2, 1] = np.nan  # gaps hide nothing
-    assert "over 32 samples, from 99 of run 1" in told(noise)[0]
+    assert "over 27 samples, from 99 of run 1" in told(noise)[0]
 
 
 def test_inputs_that_are_held_hide_no_sensor_that_is_stuck(noise):
@@ -50,6 +50,22 @@ def test_inputs_that_are_held_hide_no_sensor_that_is_stuck(noise):
     assert "over 101 samples, from 99 of run 1" in one or "over 97 samples, from 99 of run 1" in one
     signals[:, 200:] = signals[:, 199:200]  # to the end
     assert len(said(signals)) == 1
+
+
+def test_runs_that_round_are_not_named_beside_runs_that_do_not(rng):
+    alarms = 0
+    for _ in range(20):
+        signals = rng.standard_normal((20, 200, 2))
+        signals[:10] = np.round(signals[:10] / 0.3) * 0.3
+        alarms += len(told(signals, level=1e-3))
+    assert not alarms
+
+
+def test_a_rest_elsewhere_hides_no_stretch(noise):
+    noise[0, 50:250] *= np.exp(-0.1 * np.arange(200))[:, None]  # in small steps, to a value that is held
+    noise[0, 250:] = noise[0, 249]
+    noise[1, 100:150, 1] = noise[1, 99, 1]
+    assert any("from 99 of run 1" in said for said in told(noise))
 
 
 def test_one_value_all_along_is_named_too(noise):
