@@ -41,30 +41,54 @@ def inputs_answered(
     """Whether inputs answered outputs that logs lost, by more than a hundredth of their variance.
 
     They then are as far from a feedback of what is told, where an output is lost, as elsewhere without its innovation.
-    The feedback is fitted to each, for all logs of one law. Where nearly every output follows a lost one, as of a
-    sensor that is told at every fourth sample, inputs elsewhere know as much that the log does not, and nothing shows.
+    The feedback is fitted to each, log by log; those that are too short for it count as one of their law. Where nearly
+    every output follows a lost one, as of a sensor that is told at every fourth sample, inputs elsewhere know as much
+    that the log does not, and nothing shows.
     """
-    for law in set(laws):
-        own = [one for one, its in zip(logs, laws) if its == law]
-        before, innovations, inputs, lost, ahead = (np.concatenate(column) for column in zip(*own))
-        if not (np.isfinite(before).all() and np.isfinite(innovations).all()):  # a filter diverged
+    finite = [np.isfinite(one.before).all() and np.isfinite(one.innovations).all() for one in logs]
+    if not all(finite):  # a filter diverged
+        return False
+    ny, nu = logs[0].innovations.shape[1], logs[0].inputs.shape[1]
+    z = norm.isf(level / ny / nu)
+    for j in range(ny):
+        short = [(law, one) for law, one in zip(laws, logs) if not _enough(one, j)]
+        rest = [
+            Samples(*map(np.concatenate, zip(*(one for its, one in short if its == law))))
+            for law in {law for law, _ in short}
+        ]
+        parts = [one for one in (*logs, *rest) if _enough(one, j)]
+        if not parts:
             continue
-        z = norm.isf(level / innovations.shape[1] / inputs.shape[1])
-        least = size * np.maximum(inputs.var(axis=0), NEGLIGIBLE * (inputs**2).mean(axis=0))
-        for j in range(innovations.shape[1]):
-            others = np.hstack([before, np.delete(innovations, j, axis=1)])
-            told = np.hstack([others, innovations[:, j : j + 1]])
-            gaps, seen = lost[:, j] & ahead, ~lost[:, j]
-            if min(np.count_nonzero(gaps), np.count_nonzero(seen)) <= 2 * told.shape[1]:
-                continue
-            of_gaps, of_others, of_all = (
-                _unexplained(one[at], inputs[at]) for one, at in ((others, gaps), (others, seen), (told, seen))
-            )
-            more, explained = (one.mean(axis=0) - of_all.mean(axis=0) for one in (of_gaps, of_others))
-            chance = z * np.sqrt(of_gaps.var(axis=0) / len(of_gaps) + of_all.var(axis=0) / len(of_all))
-            if (more > np.maximum.reduce([chance, explained / 2, least])).any():
-                return True
+        more, explained, least, variance = np.sum([_beside(one, j, size) for one in parts], axis=0)
+        if (more > np.maximum.reduce([z * np.sqrt(variance), explained / 2, least])).any():
+            return True
     return False
+
+
+def _enough(samples: Samples, j: int) -> bool:
+    """Whether samples with and without an output are enough for a feedback each."""
+    gaps, seen = samples.lost[:, j] & samples.ahead, ~samples.lost[:, j]
+    width = samples.before.shape[1] + samples.innovations.shape[1]
+    return bool(min(np.count_nonzero(gaps), np.count_nonzero(seen)) > 2 * width)
+
+
+def _beside(samples: Samples, j: int, size: float) -> tuple[Array, Array, Array, Array]:
+    """Sums over gaps: what inputs are further from a feedback than with an innovation; what that explains elsewhere.
+
+    Then as much as counts, and the variance of the first.
+    """
+    before, innovations, inputs, lost, ahead = samples
+    others = np.hstack([before, np.delete(innovations, j, axis=1)])
+    told = np.hstack([others, innovations[:, j : j + 1]])
+    gaps, seen = lost[:, j] & ahead, ~lost[:, j]
+    of_gaps, of_others, of_all = (
+        _unexplained(one[at], inputs[at]) for one, at in ((others, gaps), (others, seen), (told, seen))
+    )
+    count = len(of_gaps)
+    more, explained = (count * (one.mean(axis=0) - of_all.mean(axis=0)) for one in (of_gaps, of_others))
+    least = count * size * np.maximum(inputs.var(axis=0), NEGLIGIBLE * (inputs**2).mean(axis=0))
+    variance = count**2 * (of_gaps.var(axis=0) / count + of_all.var(axis=0) / len(of_all))
+    return more, explained, least, variance
 
 
 def _unexplained(features: Array, inputs: Array) -> Array:

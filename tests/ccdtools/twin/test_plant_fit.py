@@ -225,6 +225,12 @@ def test_they_are_told_in_logs_of_one_run_each_too(law, status):
     assert fit_plant(stated(), runs).status.name == status
 
 
+@pytest.mark.parametrize(("law", "status"), [("sees all", "ANSWERED"), ("open", "SOLVED")])
+def test_a_log_of_another_law_beside_it_changes_nothing(law, status):
+    logs = [with_gaps("holds", 0.0, 4), with_gaps(law, 0.1, 3)]
+    assert fit_plant(stated(), logs).status.name == status
+
+
 @pytest.mark.long
 def test_logs_of_several_designs_are_one_plant():
     problem = stated()
