@@ -38,10 +38,10 @@ class Samples(NamedTuple):
 def inputs_answered(
     logs: Sequence[Samples], laws: Sequence[Hashable], *, level: float = 1e-3, size: float = 0.01
 ) -> bool:
-    """Whether inputs answered outputs that logs lost, by more than a hundredth of their variance.
+    """Whether inputs answered outputs that logs lost.
 
-    They then are as far from a feedback of what is told, where an output is lost, as elsewhere without its innovation.
-    The feedback is fitted to each, log by log; those that are too short for it count as one of their law. Where nearly
+    They then are as far from a feedback of what is told, where an output is lost, as elsewhere without its innovation,
+    and by more than a part `size` of their variance further than with it. The feedback is fitted to each, log by log; those that are too short for it count as one of their law. Where nearly
     every output follows a lost one, as of a sensor that is told at every fourth sample, inputs elsewhere know as much
     that the log does not, and nothing shows.
     """
@@ -66,16 +66,17 @@ def inputs_answered(
 
 
 def _enough(samples: Samples, j: int) -> bool:
-    """Whether samples with and without an output are enough for a feedback each."""
+    """Whether there are samples enough for both feedbacks."""
     gaps, seen = samples.lost[:, j] & samples.ahead, ~samples.lost[:, j]
     width = samples.before.shape[1] + samples.innovations.shape[1]
     return bool(min(np.count_nonzero(gaps), np.count_nonzero(seen)) > 2 * width)
 
 
 def _beside(samples: Samples, j: int, size: float) -> tuple[Array, Array, Array, Array]:
-    """Sums over gaps: what inputs are further from a feedback than with an innovation; what that explains elsewhere.
+    """Sums over the gaps of samples.
 
-    Then as much as counts, and the variance of the first.
+    What inputs are further from a feedback there than elsewhere with the innovation; what that explains elsewhere; what
+    counts; and the variance of the first.
     """
     before, innovations, inputs, lost, ahead = samples
     others = np.hstack([before, np.delete(innovations, j, axis=1)])
