@@ -41,9 +41,9 @@ def inputs_answered(
     """Whether inputs answered outputs that logs lost.
 
     They then are as far from a feedback of what is told, where an output is lost, as elsewhere without its innovation,
-    and by more than a part `size` of their variance further than with it. The feedback is fitted to each, log by log; those that are too short for it count as one of their law. Where nearly
-    every output follows a lost one, as of a sensor that is told at every fourth sample, inputs elsewhere know as much
-    that the log does not, and nothing shows.
+    and by more than a part `size` of their variance further than with it. The feedback is fitted to each, log by log;
+    those that are too short for it count as one of their law. Where nearly every output follows a lost one, as of a
+    sensor that is told at every fourth sample, inputs elsewhere know as much that the log does not, and nothing shows.
     """
     finite = [np.isfinite(one.before).all() and np.isfinite(one.innovations).all() for one in logs]
     if not all(finite):  # a filter diverged
