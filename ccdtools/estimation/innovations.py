@@ -99,12 +99,12 @@ class Innovations:
         told, _ = self._along(theta)
         return told[0, 0], told[1, 0], told[0, 1:].T, told[1, 1:].T
 
-    def normalised(self, theta: Array) -> Array:
-        """Innovations (n, T, ny) in units of their deviations; 0 where a sensor told nothing."""
-        r, s, *_ = self.at(theta)
-        n, steps = self.inputs.shape[:2]
-        return np.asarray((r / np.sqrt(s)).reshape(-1, steps, n).transpose(2, 1, 0))
+    def normalised(self, theta: Array) -> tuple[Array, Array]:
+        """Innovations (n, T, ny) in units of their deviations, and states (n, T, nx) foretold before each sample.
 
-    def foretold(self, theta: Array) -> Array:
-        """States (n, T, nx) by what was told before each sample."""
-        return self._along(theta)[1]
+        Innovations are 0 where a sensor told nothing.
+        """
+        told, foretold = self._along(theta)
+        n, steps = self.inputs.shape[:2]
+        each = told[0, 0] / np.sqrt(told[1, 0])
+        return np.asarray(each.reshape(-1, steps, n).transpose(2, 1, 0)), foretold

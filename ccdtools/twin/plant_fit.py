@@ -317,13 +317,10 @@ def fit_plant(
         m = len(unknown.free)
         answered, lasting = False, _lasting(left) or _carried_whole(found.parts, values[:m], held[m:])
     else:
-        innovations = [part.normalised(values) for part in found.parts]
+        innovations, foretold = zip(*(part.normalised(values) for part in found.parts))
         warn_of_spikes("logs", innovations, _output_names(problem))
         lasting = _lasting(innovations, lags=(1, 2, 4, 8))
-        samples = [
-            Samples.of(log.outputs, log.inputs, part.foretold(values), told)
-            for log, part, told in zip(given, found.parts, innovations)
-        ]
+        samples = [Samples.of(log.outputs, log.inputs, *rest) for log, *rest in zip(given, foretold, innovations)]
         answered = inputs_answered(samples, [tuple(log.design) for log in given])
     open_ = _open(known, unknown)
     status = (

@@ -48,6 +48,8 @@ def warn_of_stuck(
         return
     sigma = deviations()
     for j, one in enumerate(rows):
+        if not one.number.any():
+            continue
         step, told = _resolution(signals[:, :, j])[one.run], one.told.sum()
         moves = np.minimum(sigma[j], one.leap - step)
         seldom = 2 * norm.cdf(step / (2 * np.where(moves > 0, moves, np.nan))) - 1
