@@ -2,97 +2,146 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import t
 
 from ccdtools.arrays import Array, Mask
-from mpc.tolerances import NEGLIGIBLE
+from ccdtools.estimation.innovations import Innovations
+from ccdtools.twin.likelihood import information_rows
+from mpc.tolerances import NEGLIGIBLE, ROUNDED_SUM
 
 
-class Samples(NamedTuple):
-    """Samples of a log, after the first of each run."""
+class Filtered(NamedTuple):
+    """A log beside its filter."""
 
-    before: Array  # (N, m): a constant, states foretold, outputs told last, the input before
-    innovations: Array  # (N, ny), 0 where an output is lost
-    inputs: Array  # (N, nu)
-    lost: Mask  # (N, ny)
-    ahead: Mask  # (N,): whether an output is told from here on
+    outputs: Array  # (n, T, ny), NaN where one is lost
+    inputs: Array  # (n, T, nu)
+    innovations: Array  # (n, T, ny), 0 where an output is lost
+    foretold: Array  # (n, T, nx)
+    errors: Array  # (2 N,), innovations and squares less one, in units of their deviations
+    slopes: Array  # (2 N, m)
 
     @classmethod
-    def of(cls, outputs: Array, inputs: Array, foretold: Array, innovations: Array) -> Samples:
-        """Samples of outputs, inputs, states foretold and innovations (n, T, ·)."""
-        lost, steps = np.isnan(outputs), np.arange(outputs.shape[1])[:, None]
-        some = np.asarray(np.isfinite(outputs).any(axis=2))
-        ahead = np.maximum.accumulate(some[:, ::-1], axis=1)[:, ::-1]
-        last = np.maximum.accumulate(np.where(lost, -1, steps), axis=1)
-        held = np.where(last < 0, 0.0, np.take_along_axis(outputs, last.clip(0), axis=1))
-        ones = np.ones((*ahead[:, 1:].shape, 1))
-        before = np.concatenate([ones, foretold[:, 1:], held[:, :-1], inputs[:, :-1]], axis=2)
-        columns: tuple[Any, ...] = (before, innovations[:, 1:], inputs[:, 1:], lost[:, 1:], ahead[:, 1:])
-        return cls(*(one.reshape(ones.size, *one.shape[2:]) for one in columns))
+    def of(cls, part: Innovations, values: Array, outputs: Array) -> Filtered:
+        """Log at values of the parameters."""
+        r, s, dr, ds = part.at(values)
+        errors = np.concatenate([r / np.sqrt(s), (r**2 / s - 1) / np.sqrt(2)])
+        return cls(outputs, part.inputs, *part.normalised(values), errors, information_rows(r, s, dr, ds))
+
+    @property
+    def lost(self) -> Mask:
+        """(n, T, ny)."""
+        return np.isnan(self.outputs)
+
+    @property
+    def between(self) -> Mask:
+        """Samples (n, T) from the first to the last output."""
+        some = np.asarray(np.isfinite(self.outputs).any(axis=2))
+        return np.asarray(np.maximum.accumulate(some, axis=1) & np.maximum.accumulate(some[:, ::-1], axis=1)[:, ::-1])
+
+    @property
+    def told(self) -> Array:
+        """What a linear law may feed back (n, T, ·)."""
+        last = np.maximum.accumulate(np.where(self.lost, -1, np.arange(self.lost.shape[1])[:, None]), axis=1)
+        held = np.where(last < 0, 0.0, np.take_along_axis(self.outputs, last.clip(0), axis=1))
+        now = [self.foretold, self.innovations, held]
+        return np.concatenate([*now, *map(_before, (held, self.innovations, self.inputs))], axis=2)
 
 
 def inputs_answered(
-    logs: Sequence[Samples], laws: Sequence[Hashable], *, level: float = 1e-3, size: float = 0.01
-) -> bool:
+    parts: Sequence[Innovations], outputs: Sequence[Array], values: Array, *, level: float = 0.01, size: float = 0.1
+) -> bool:  # fmt: skip
     """Whether inputs answered outputs that logs lost.
 
-    They then are as far from a feedback of what is told, where an output is lost, as elsewhere without its innovation,
-    and by more than a part `size` of their variance further than with it. The feedback is fitted to each, log by log;
-    those that are too short for it count as one of their law. Where nearly every output follows a lost one, as of a
-    sensor that is told at every fourth sample, inputs elsewhere know as much that the log does not, and nothing shows.
+    What they are beside a feedback of what is told then tells of the disturbance. So, summed over a gap, it tells the
+    innovation after it, beyond chance and by more than a part `size`: a score test (Rao 1948) beside the parameters
+    that were fitted. Inputs that nothing lost drives pass it whatever their law, but for a part `level` of the logs.
+    Or they are a feedback but for a part `size` where outputs are told, and further from it in gaps.
     """
-    finite = [np.isfinite(one.before).all() and np.isfinite(one.innovations).all() for one in logs]
-    if not all(finite):  # a filter diverged
+    if not any(np.isnan(one).any() for one in outputs):
         return False
-    ny, nu = logs[0].innovations.shape[1], logs[0].inputs.shape[1]
-    z = norm.isf(level / ny / nu)
-    for j in range(ny):
-        short = [(law, one) for law, one in zip(laws, logs) if not _enough(one, j)]
-        rest = [
-            Samples(*map(np.concatenate, zip(*(one for its, one in short if its == law))))
-            for law in {law for law, _ in short}
-        ]
-        parts = [one for one in (*logs, *rest) if _enough(one, j)]
-        if not parts:
-            continue
-        more, explained, least, variance = np.sum([_beside(one, j, size) for one in parts], axis=0)
-        if (more > np.maximum.reduce([z * np.sqrt(variance), explained / 2, least])).any():
+    every = [Filtered.of(part, values, given) for part, given in zip(parts, outputs)]
+    logs = [log for log in every if all(np.isfinite(one).all() for one in log[1:])]  # others diverged
+    if not logs:
+        return False
+    beside = _unexplained(logs)
+    slopes, errors = (np.concatenate([np.split(log[at], 2) for log in logs], axis=1) for at in (5, 4))
+    known, _ = np.linalg.qr(_scaled(slopes.reshape(errors.size, -1)))
+    ny, nu = logs[0].outputs.shape[2], logs[0].inputs.shape[2]
+    for i, j in product(range(ny), range(nu)):
+        if _follow_less(logs, [one[:, :, j] for one in beside], i, size):
             return True
+        sums = [_over_gaps(one[:, :, j], log.lost[:, :, i]) for log, one in zip(logs, beside)]
+        for k in range(ny):
+            rows = [_as_rows(one, log.lost, k) for log, one in zip(logs, sums)]
+            moves = np.concatenate([*rows, np.zeros(errors.shape[1])])
+            least = size * np.linalg.norm(moves) * np.sqrt(np.count_nonzero(moves))
+            moves = moves - known @ (known.T @ moves)
+            rises = (moves * errors.ravel()).reshape(2, -1).sum(axis=0)
+            alike = np.sum(moves**2) ** 2 / max(np.sum(moves**4), np.finfo(float).tiny)  # samples of equal weight
+            chance = t.isf(level / ny**2 / nu / 2, max(alike, 1.0)) * np.linalg.norm(rises)
+            if abs(rises.sum()) > max(chance, least):
+                return True
     return False
 
 
-def _enough(samples: Samples, j: int) -> bool:
-    """Whether there are samples enough for both feedbacks."""
-    gaps, seen = samples.lost[:, j] & samples.ahead, ~samples.lost[:, j]
-    width = samples.before.shape[1] + samples.innovations.shape[1]
-    return bool(min(np.count_nonzero(gaps), np.count_nonzero(seen)) > 2 * width)
+def _follow_less(logs: Sequence[Filtered], beside: Sequence[Array], i: int, size: float) -> bool:
+    """Whether inputs follow what is told, but less where output i is lost.
 
-
-def _beside(samples: Samples, j: int, size: float) -> tuple[Array, Array, Array, Array]:
-    """Sums over the gaps of samples.
-
-    What inputs are further from a feedback there than elsewhere with the innovation; what that explains elsewhere; what
-    counts; and the variance of the first.
+    Most are there by more than a twentieth of their size away from it, and farther than elsewhere.
     """
-    before, innovations, inputs, lost, ahead = samples
-    others = np.hstack([before, np.delete(innovations, j, axis=1)])
-    told = np.hstack([others, innovations[:, j : j + 1]])
-    gaps, seen = lost[:, j] & ahead, ~lost[:, j]
-    of_gaps, of_others, of_all = (
-        _unexplained(one[at], inputs[at]) for one, at in ((others, gaps), (others, seen), (told, seen))
-    )
-    count = len(of_gaps)
-    more, explained = (count * (one.mean(axis=0) - of_all.mean(axis=0)) for one in (of_gaps, of_others))
-    least = count * size * np.maximum(inputs.var(axis=0), NEGLIGIBLE * (inputs**2).mean(axis=0))
-    variance = count**2 * (of_gaps.var(axis=0) / count + of_all.var(axis=0) / len(of_all))
-    return more, explained, least, variance
+    squares = np.concatenate([one[log.between] ** 2 for log, one in zip(logs, beside)])
+    lost = np.concatenate([log.lost[log.between, i] for log in logs])
+    if lost.all() or not lost.any():
+        return False
+    gaps, rest = np.median(squares[lost]), np.median(squares[~lost])
+    return bool(squares[~lost].mean() < size and gaps > max(size / 5, 3 * rest))
 
 
-def _unexplained(features: Array, inputs: Array) -> Array:
-    """Squares (N, nu) of what a feedback of features leaves of inputs, for its degrees of freedom."""
-    fitted, _, rank, _ = np.linalg.lstsq(features, inputs, rcond=None)
-    return np.asarray((inputs - features @ fitted) ** 2 * (len(inputs) / (len(inputs) - rank)))
+def _unexplained(logs: Sequence[Filtered], samples: int = 20) -> list[Array]:
+    """Inputs (n, T, nu) less a feedback of what is told.
+
+    They are in units of their deviations, and the feedback is of each log; those that are short for it share one.
+    """
+    rows, inputs = [log.told[log.between] for log in logs], [log.inputs[log.between] for log in logs]
+    short = [i for i, one in enumerate(rows) if len(one) < samples * one.shape[1]]
+    found = [np.zeros_like(log.inputs) for log in logs]
+    for group in [[i] for i in range(len(logs)) if i not in short] + [short] * bool(short):
+        X, U = (_scaled(np.concatenate([each[i] for i in group]), centred=True) for each in (rows, inputs))
+        rest = np.sqrt(len(U)) * (U - X @ np.linalg.lstsq(X, U, rcond=NEGLIGIBLE)[0])
+        for i, part in zip(group, np.split(rest, np.cumsum([len(rows[i]) for i in group])[:-1])):
+            found[i][logs[i].between] = part
+    return found
+
+
+def _scaled(rows: Array, *, centred: bool = False) -> Array:
+    """Columns of length one; zeros where only rounding varies."""
+    large = np.abs(rows).max(axis=0, initial=0.0)
+    moved = rows - rows.mean(axis=0) if centred else rows
+    length = np.linalg.norm(moved, axis=0)
+    varied = length > ROUNDED_SUM * large * np.sqrt(len(rows))
+    return np.where(varied, moved / np.where(varied, length, 1.0), 0.0)
+
+
+def _before(rows: Array) -> Array:
+    """Rows (n, T, ·) a sample later."""
+    return np.concatenate([np.zeros_like(rows[:, :1]), rows[:, :-1]], axis=1)
+
+
+def _over_gaps(rows: Array, lost: Mask) -> Array:
+    """Sums (n, T) over each gap, before each sample."""
+    sums = np.zeros_like(rows)
+    for k in range(1, rows.shape[1]):
+        sums[:, k] = np.where(lost[:, k - 1], sums[:, k - 1] + rows[:, k - 1], 0.0)
+    return sums
+
+
+def _as_rows(sums: Array, lost: Mask, k: int) -> Array:
+    """Sums (n, T) at the innovations (N,) of output k."""
+    at = np.zeros(lost.shape)
+    at[:, :, k] = np.where(lost[:, :, k], 0.0, sums)
+    return at.transpose(2, 1, 0).ravel()

@@ -19,7 +19,7 @@ from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory, check_clock
 from ccdtools.twin.likelihood import Likelihood, information_rows
-from ccdtools.twin.lost_outputs import Samples, inputs_answered
+from ccdtools.twin.lost_outputs import inputs_answered
 from ccdtools.twin.residuals import errors_in, residuals, warn_of_outside
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.stuck_sensors import warn_of_spikes, warn_of_stuck
@@ -59,9 +59,9 @@ class FitStatus(Outcome):
         "logged with noise show the same: state their sensors, Measurement(np.eye(nx), noise=…), and log outputs."
     )
     ANSWERED = (
-        "Inputs answered outputs that the log lost: in gaps they follow what was told before less than elsewhere. So "
-        "they know of the disturbance, and a fit takes that for dynamics. Log what the controller sees, or leave out "
-        "runs with gaps."
+        "Inputs seem to have answered outputs that the log lost: in gaps they follow what was told before less than "
+        "elsewhere, or tell what comes after. A fit takes that for dynamics. Log what the controller sees, or leave "
+        "out runs with gaps."
     )
     FEW = (
         "Too few values are measured: with fewer than twenty for each unknown, noise and correlations counted, "
@@ -317,11 +317,10 @@ def fit_plant(
         m = len(unknown.free)
         answered, lasting = False, _lasting(left) or _carried_whole(found.parts, values[:m], held[m:])
     else:
-        innovations, foretold = zip(*(part.normalised(values) for part in found.parts))
+        innovations = [part.normalised(values)[0] for part in found.parts]
         warn_of_spikes("logs", innovations, _output_names(problem))
         lasting = _lasting(innovations, lags=(1, 2, 4, 8))
-        samples = [Samples.of(log.outputs, log.inputs, *rest) for log, *rest in zip(given, foretold, innovations)]
-        answered = inputs_answered(samples, [tuple(log.design) for log in given])
+        answered = inputs_answered(found.parts, [log.outputs for log in given], values)
     open_ = _open(known, unknown)
     status = (
         FitStatus.UNSOLVED if not found.rise(z) <= NEGLIGIBLE

@@ -6,8 +6,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import least_squares, minimize
-from scipy.signal import lfilter
+from logged_spring import BOX, DT, RUNS, START, STEPS, P, cubic, logged, spring, stated, without_states
+from scipy.optimize import minimize
 
 from ccdtools import (
     CoDesignProblem,
@@ -28,47 +28,6 @@ from ccdtools.co_design import kalman_filter
 from ccdtools.controllers import Observed, Passive
 from ccdtools.exceptions import LimitWarning
 from ccdtools.twin import OutputLog, fit_plant, updated_problem
-
-BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])
-P = np.array([2.0])
-START, RUNS, STEPS, DT = [1.0, 0.0], 40, 80, 0.33
-
-
-def spring(gain=1.0, push=0.0, unit=1.0, names=(), accelerometer=False):
-    """Mass on a spring, positions in a unit; with unknown entries besides: parts of the gain and of the mass."""
-    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1 + len(names))
-    known = dict(zip(("k", *names), ca.vertsplit(p)))
-    force = known.get("gain", gain) * known.get("second", 1.0) * u - (known["k"] * x[0] + 0.3 * x[1]) / unit
-    a = force / known.get("mass", 1.0)
-    box = DesignSpace(["k", *names], [0.5] + [0.2] * len(names), [4.0] + [3.0] * len(names))
-    outputs = [x[0], unit * a] if accelerometer else [x[0]]
-    return Plant(x, u, w, p, [x[1], unit * (a + w + push)], box, dt=DT, outputs=outputs)
-
-
-def stated(noise=0.05, unit=1.0, **changes):
-    """Problem whose position is measured."""
-    given = {
-        "X": (-4 * unit, 4 * unit), "U": (-3, 3), "steps": STEPS, "limit_tolerance": "off",
-        "objective": QuadraticObjective(np.eye(2) / unit**2, [[0.1]], design_cost=lambda p: 2 * p[0]),
-        "scenarios": FixedStart(unit * np.array(START), Gaussian([0.3])),
-        "measurement": Measurement([[1.0, 0.0]], noise=[noise * unit]),
-    }  # fmt: skip
-    return CoDesignProblem(discretise(spring(unit=unit)), **(given | changes))
-
-
-def logged(problem, real, seed=0, law=None, x0=None, w=None):
-    """Log of LQG on a real plant."""
-    rng = np.random.default_rng(seed)
-    law = Observed(saturated_lqr(problem, P), kalman_filter(problem, P)) if law is None else law
-    w = Gaussian([0.3]).sample(RUNS, STEPS, rng) if w is None else w
-    x0 = problem.scenarios.x0 if x0 is None else x0
-    return deploy(real, law, P, w, x0=x0, output=problem.measurement, rng=rng)
-
-
-def without_states(log):
-    """What a real log holds."""
-    return OutputLog(log.outputs, log.inputs, log.design)
-
 
 # ── what is found ──
 
@@ -158,77 +117,6 @@ def test_how_wide_the_limits_of_the_state_are_changes_nothing():
     one, other = (fit_plant(replace(problem, X=X), log, plant=spring(names=("gain",))) for X in ((-4, 4), (-4e5, 4e5)))
     np.testing.assert_allclose(other.values, one.values, atol=0.01 * one.deviations.min())
     assert other.status is one.status
-
-
-@pytest.mark.long
-def test_what_a_sensor_missed_tells_nothing():
-    problem = stated()
-    log = logged(problem, spring(0.5))
-    outputs = np.array(log.outputs)
-    outputs[:, STEPS // 2 :] = np.nan
-    gaps = fit_plant(problem, OutputLog(outputs, log.inputs, P))
-    half = fit_plant(problem, OutputLog(outputs[:, : STEPS // 2], log.inputs[:, : STEPS // 2], P))
-    assert (np.abs(gaps.values - half.values) < 0.01 * half.deviations).all()
-    assert gaps.innovation_variance == pytest.approx(half.innovation_variance, rel=1e-4)
-    outputs = np.array(log.outputs)
-    outputs[::2, 10:30] = np.nan
-    some = fit_plant(problem, OutputLog(outputs, log.inputs, P))
-    assert gaps.status.name == "SOLVED"
-    assert some.status.name == "ANSWERED"  # the law saw what the log lost
-    with pytest.raises(InputError, match="ANSWERED"):
-        updated_problem(problem, some)
-    assert half.deviations[2] > 1.2 * some.deviations[2]
-
-
-def with_gaps(law, lost, seed, gain=0.8):
-    """A log of LQR behind a filter that misses outputs, or behind one that sees what the log lost; by hand."""
-    problem, rng = stated(), np.random.default_rng(seed)
-    (A, B, E), (An, Bn, En) = (discretise(plant).matrices(P) for plant in (spring(gain), spring()))
-    K, S = np.asarray(saturated_lqr(problem, P).K), np.zeros((2, 2))
-    for _ in range(300):
-        M = S[:, :1] / (S[0, 0] + 0.05**2)
-        S = An @ (S - M @ S[:1]) @ An.T + 0.3**2 * En @ En.T
-    M = S[:, :1] / (S[0, 0] + 0.05**2)
-    missing = rng.random((RUNS, STEPS, 1)) < lost
-    x = known = np.tile(START, (RUNS, 1))
-    outputs, inputs = np.zeros((2, RUNS, STEPS, 1))
-    for k in range(STEPS):
-        outputs[:, k] = x[:, :1] + 0.05 * rng.standard_normal((RUNS, 1))
-        told = np.where(missing[:, k] & (law != "sees all"), 0.0, outputs[:, k] - known[:, :1])
-        latest = np.where(missing[:, k], outputs[:, k - 1], outputs[:, k])  # the last one told, if one is lost
-        answers = {"holds": -0.3 * latest, "open": rng.uniform(-1, 1, (RUNS, 1))}
-        answers["pulses"] = 2 * answers["open"] * (rng.random((RUNS, 1)) < 0.05)
-        inputs[:, k] = np.clip(answers.get(law, -(known + told * M.T) @ K.T), -3, 3)
-        known = (known + told * M.T) @ An.T + inputs[:, k] @ Bn.T
-        x = x @ A.T + inputs[:, k] @ B.T + 0.3 * rng.standard_normal((RUNS, 1)) @ E.T
-    outputs[missing] = np.nan
-    return OutputLog(outputs, inputs, P)
-
-
-@pytest.mark.parametrize(
-    ("law", "lost", "status"),
-    [("sees all", 0.1, "ANSWERED"), ("sees all", 0.02, "ANSWERED"), ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"),
-     ("holds", 0.05, "SOLVED"), ("pulses", 0.1, "SOLVED")],
-)  # fmt: skip
-def test_inputs_that_answered_outputs_that_the_log_lost_are_told(law, lost, status):
-    found = fit_plant(stated(), with_gaps(law, lost, 3))
-    assert found.status.name == status
-    if status == "SOLVED":
-        assert abs(found.values[2] + 0.2) < 3.5 * found.deviations[2]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("law", "status"), [("sees all", "ANSWERED"), ("as told", "SOLVED")])
-def test_they_are_told_in_logs_of_one_run_each_too(law, status):
-    log = with_gaps(law, 0.05, 3)
-    runs = [OutputLog(log.outputs[[run]], log.inputs[[run]], P) for run in range(RUNS)]
-    assert fit_plant(stated(), runs).status.name == status
-
-
-@pytest.mark.parametrize(("law", "status"), [("sees all", "ANSWERED"), ("open", "SOLVED")])
-def test_a_log_of_another_law_beside_it_changes_nothing(law, status):
-    logs = [with_gaps("holds", 0.0, 4), with_gaps(law, 0.1, 3)]
-    assert fit_plant(stated(), logs).status.name == status
 
 
 @pytest.mark.long
@@ -472,15 +360,6 @@ def test_wrong_problems_plants_and_kinds_are_named(log):
             call()
 
 
-def cubic(*names, c=0.0):
-    """Mass on a spring that may soften and run away."""
-    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1 + len(names))
-    c = p[1] if names else c
-    box = DesignSpace(["k", *names], [0.5] + [-1.0] * len(names), [4.0] + [20.0] * len(names))
-    rates = [x[1], -p[0] * x[0] + c * x[0] ** 3 - 0.3 * x[1] + u + w]
-    return Plant(x, u, w, p, rates, box, dt=DT, substeps=2)
-
-
 @pytest.mark.long
 def test_a_filter_that_diverges_is_a_status_and_what_is_not_known_cannot_be_drawn():
     problem = stated(noise=0.3, X=(-6, 6), scenarios=RandomStarts(Gaussian([1.5, 1.5]), Gaussian([0.5])))
@@ -556,165 +435,6 @@ def test_a_clock_that_jumps_or_has_another_rate_is_named():
             fit_plant(problem, wrong, plant=plant)
     with pytest.raises(InputError, match="times: got shape"):
         OutputLog(log.outputs, log.inputs, P, times=clock[1:])
-
-
-def seen(real, seed=0, unit=1.0, runs=RUNS, law=None):
-    """Problem whose states are known, and a log of LQR on a real plant."""
-    problem = stated(unit=unit, measurement=None)
-    w = Gaussian([0.3]).sample(runs, STEPS, np.random.default_rng(seed))
-    law = saturated_lqr(problem, P) if law is None else law
-    return problem, deploy(real, law, P, w, x0=unit * np.array(START))
-
-
-def test_of_states_a_gain_is_the_least_squares_solution_in_any_unit():
-    found = []
-    for unit in (1.0, 1e4):
-        problem, log = seen(spring(0.5, unit=unit), unit=unit)
-        found.append(fit_plant(problem, log, plant=spring(unit=unit, names=("gain",))))
-        A, B, E = problem.model.matrices(P)
-        along = E[:, 0] / (E.T @ E)[0, 0]  # noise and input enter alike
-        error = (log.states[:, 1:] - log.states[:, :-1] @ A.T) @ along
-        moved = log.inputs[:, :, 0] * (B.T @ along)[0]
-
-        def left(z, error=error, moved=moved):
-            """What a gain and a correlation leave."""
-            one = error - z[0] * moved
-            return (one[:, 1:] - z[1] * one[:, :-1]).ravel()
-
-        own = least_squares(left, [1.0, 0.0], xtol=1e-12, ftol=1e-12)
-        spread = np.linalg.inv(own.jac.T @ own.jac) * left(own.x).var()
-        assert found[-1].status.name == "SOLVED"
-        np.testing.assert_allclose(found[-1].values[:2], own.x, atol=1e-3)  # the mean of w is that of a sample
-        np.testing.assert_allclose(found[-1].deviations[:2], np.sqrt(np.diag(spread)), rtol=0.08)
-    assert found[0].values[0] == pytest.approx(found[1].values[0], rel=1e-6)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("carried", [0.5, 0.8])
-def test_of_states_a_disturbance_that_lasts_is_no_dynamics(carried):
-    held = 0
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        w = 0.3 * lfilter([(1 - carried**2) ** 0.5], [1, -carried], rng.standard_normal((4, 200, 1)), axis=1)
-        problem = stated(measurement=None)
-        found = fit_plant(problem, deploy(spring(0.5), saturated_lqr(problem, P), P, w, x0=START),
-                          plant=spring(names=("gain",)))  # fmt: skip
-        assert found.status.name == "SOLVED"
-        held += bool(found.intervals()[0, 0] <= 0.5 <= found.intervals()[0, 1])
-    assert held >= 16  # without a correlation none
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("carried", "status"), [(0.0, "SOLVED"), (0.9, "LASTING")])
-def test_of_outputs_a_disturbance_that_lasts_is_told_by_innovations_further_apart(carried, status):
-    problem, unit = stated(), (1 - carried**2) ** 0.5
-    for seed in range(3):
-        drawn = np.random.default_rng(seed).standard_normal((RUNS, STEPS, 1))
-        log = logged(problem, spring(0.8), w=0.3 * lfilter([unit], [1, -carried], drawn, axis=1))
-        found = fit_plant(problem, without_states(log), plant=spring(names=("gain", "mass")))
-        assert found.status.name == status
-
-
-def test_of_states_a_push_that_nothing_states_is_not_known_and_one_that_is_stated_is():
-    problem, log = seen(spring(0.5, push=0.3))
-    found = fit_plant(problem, log, plant=spring(names=("gain",)))
-    assert found.status.name == "LASTING"
-    assert "constant part" in found.advice
-    with pytest.raises(InputError, match="LASTING"):
-        updated_problem(problem, found)
-    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3)
-    space = DesignSpace(["k", "gain", "push"], [0.5, 0.2, -1.0], [4.0, 3.0, 1.0])
-    rates = [x[1], p[1] * u - p[0] * x[0] - 0.3 * x[1] + w + p[2]]
-    found = fit_plant(problem, log, plant=Plant(x, u, w, p, rates, space, dt=DT))
-    assert found.status.name == "SOLVED"
-    np.testing.assert_allclose(found.values[:2], [0.5, 0.3], atol=4 * found.deviations[:2].max())
-
-
-@pytest.mark.check
-@pytest.mark.parametrize("steps", [5, 10, 30])
-def test_of_states_a_short_log_has_wide_intervals(steps):
-    held = 0
-    problem, real, wide = stated(measurement=None), spring(0.5), spring(names=("gain",))
-    law = saturated_lqr(problem, P)
-    for seed in range(60):
-        w = Gaussian([0.3]).sample(1, steps, np.random.default_rng(seed))
-        low, high = fit_plant(problem, deploy(real, law, P, w, x0=START), plant=wide).intervals()[0]
-        held += bool(low <= 0.5 <= high)
-    assert held >= 50
-
-
-@pytest.mark.long
-def test_of_states_intervals_hold_the_truth_as_often_as_they_say():
-    held = sum(
-        bool(low <= 0.5 <= high)
-        for seed in range(40)
-        for low, high in fit_plant(*seen(spring(0.5), seed, runs=4), plant=spring(names=("gain",))).intervals()
-    )
-    assert 34 <= held <= 40
-
-
-@pytest.mark.long
-def test_of_states_a_nonlinear_entry_is_found_and_designs_of_all_kinds_use_it():
-    problem, log = seen(cubic(c=2.0))
-    found = fit_plant(problem, log, plant=cubic("c"))
-    assert found.status.name == "SOLVED"
-    assert found.values[0] == pytest.approx(2.0, abs=3 * found.deviations[0])
-    weaker = updated_problem(problem, fit_plant(*seen(spring(0.5)), plant=spring(names=("gain",))))
-    B = weaker.model.matrices(P)[1]
-    np.testing.assert_allclose(B, 0.5 * problem.model.matrices(P)[1], rtol=0.1)
-    assert abs(saturated_lqr(weaker, P).K).max() != abs(saturated_lqr(problem, P).K).max()
-
-
-def test_of_states_a_loop_without_excitation_leaves_open_what_its_law_hides():
-    problem, log = seen(spring(0.5))
-    found = fit_plant(problem, log)
-    assert found.status.name == "OPEN"
-    assert {"w1 by x1", "w1 by x2", "w1 by u1"} == {name for one in found.open for name in one}
-    rng, lqr = np.random.default_rng(1), saturated_lqr(problem, P)
-    law = lambda x: lqr(x) + rng.normal(0, 0.5, (len(x), 1))  # noqa: E731
-    found = fit_plant(*seen(spring(0.5), law=law))
-    assert found.status.name == "SOLVED"
-    assert found.values[2] == pytest.approx(-0.5, abs=4 * found.deviations[2])
-
-
-@pytest.mark.parametrize("digits", [np.float64, np.float32])
-def test_of_states_a_log_without_any_disturbance_is_exact(digits):
-    problem, _ = seen(cubic(c=2.0))
-    law, steps = saturated_lqr(problem, P), (4, STEPS, 1)
-    real = deploy(cubic(c=2.0), lambda x: law(x).astype(digits).astype(float), P, np.zeros(steps), x0=START)
-    log = replace(real, inputs=law(real.states[:, :-1].reshape(-1, 2)).reshape(steps))  # before they are rounded
-    found = fit_plant(problem, log, plant=cubic("c"))
-    assert found.status.name == "SOLVED"
-    assert found.values[0] == pytest.approx(2.0, rel=1e-4)  # the model integrates as well as that
-
-
-def test_of_states_a_constant_push_without_noise_lasts():
-    problem, _ = seen(spring())
-    log = deploy(spring(0.5, push=0.3), saturated_lqr(problem, P), P, np.zeros((4, STEPS, 1)), x0=START)
-    assert fit_plant(problem, log, plant=spring(names=("gain",))).status.name == "LASTING"
-
-
-@pytest.mark.parametrize("gain", [1e-3, 1e-6, 0.0])
-def test_of_states_what_small_inputs_do_not_tell_stays_open(gain):
-    for seed in range(3):
-        problem, log = seen(spring(1.3), seed, runs=3, law=LinearFeedback([[gain, gain]]))
-        found = fit_plant(problem, log, plant=spring(names=("gain",)))
-        assert found.status.name == "OPEN"
-        with pytest.raises(InputError, match="OPEN"):
-            updated_problem(problem, found)
-
-
-def test_of_states_wrong_logs_are_named():
-    problem, log = seen(spring())
-    for given, words in [
-        (log.states, "a Trajectory"),
-        ([], "at least one log"),
-        (replace(log, dt=2 * DT), "dt"),
-        (replace(log, diverged_at=np.zeros(RUNS, dtype=int)), "all diverged"),
-        (replace(log, states=np.where(np.arange(STEPS + 1)[:, None] == 5, np.nan, log.states)), r"logs\[0\].states"),
-    ]:
-        with pytest.raises(InputError, match=words):
-            fit_plant(problem, given, plant=spring(names=("gain",)))
 
 
 @pytest.mark.long
