@@ -7,7 +7,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t
+from scipy.stats import binom, t
 
 from ccdtools.arrays import Array, Mask
 from ccdtools.estimation.innovations import Innovations
@@ -28,9 +28,10 @@ class Filtered(NamedTuple):
     @classmethod
     def of(cls, part: Innovations, values: Array, outputs: Array) -> Filtered:
         """Log at values of the parameters."""
-        r, s, dr, ds = part.at(values)
-        errors = np.concatenate([r / np.sqrt(s), (r**2 / s - 1) / np.sqrt(2)])
-        return cls(outputs, part.inputs, *part.normalised(values), errors, information_rows(r, s, dr, ds))
+        with np.errstate(all="ignore"):  # a filter may diverge
+            r, s, dr, ds = part.at(values)
+            errors = np.concatenate([r / np.sqrt(s), (r**2 / s - 1) / np.sqrt(2)])
+            return cls(outputs, part.inputs, *part.normalised(values), errors, information_rows(r, s, dr, ds))
 
     @property
     def lost(self) -> Mask:
@@ -53,29 +54,32 @@ class Filtered(NamedTuple):
 
 
 def inputs_answered(
-    parts: Sequence[Innovations], outputs: Sequence[Array], values: Array, *, level: float = 0.01, size: float = 0.1
+    parts: Sequence[Innovations], outputs: Sequence[Array], values: Array, *, level: float = 0.02, size: float = 0.1
 ) -> bool:  # fmt: skip
     """Whether inputs answered outputs that logs lost.
 
     What they are beside a feedback of what is told then tells of the disturbance. So, summed over a gap, it tells the
-    innovation after it, beyond chance and by more than a part `size`: a score test (Rao 1948) beside the parameters
+    innovation after it, by a correlation of `size` and beyond chance: a score test (Rao 1948) beside the parameters
     that were fitted. Inputs that nothing lost drives pass it whatever their law, but for a part `level` of the logs.
-    Or they are a feedback but for a part `size` where outputs are told, and further from it in gaps.
+    Long gaps are few, and the fit explains what follows them by the inputs: so inputs that follow what is told up to a
+    gap and no longer at its end count as answers, too.
     """
     if not any(np.isnan(one).any() for one in outputs):
         return False
     every = [Filtered.of(part, values, given) for part, given in zip(parts, outputs)]
-    logs = [log for log in every if all(np.isfinite(one).all() for one in log[1:])]  # others diverged
-    if not logs:
+    logs = [log for log in every if log.between.any() and all(np.isfinite(one).all() for one in log[1:])]
+    if not logs:  # filters diverged
         return False
-    beside = _unexplained(logs)
-    slopes, errors = (np.concatenate([np.split(log[at], 2) for log in logs], axis=1) for at in (5, 4))
+    errors = np.concatenate([np.split(log.errors, 2) for log in logs], axis=1)
+    slopes = np.concatenate([np.split(log.slopes, 2) for log in logs], axis=1)
     known, _ = np.linalg.qr(_scaled(slopes.reshape(errors.size, -1)))
     ny, nu = logs[0].outputs.shape[2], logs[0].inputs.shape[2]
+    beside = [_unexplained(logs, i) for i in range(ny)]
     for i, j in product(range(ny), range(nu)):
-        if _follow_less(logs, [one[:, :, j] for one in beside], i, size):
+        gaps = [(log.lost[:, :, i], one[:, :, j]) for log, one in zip(logs, beside[i])]
+        if _cease_to_follow(gaps):
             return True
-        sums = [_over_gaps(one[:, :, j], log.lost[:, :, i]) for log, one in zip(logs, beside)]
+        sums = [_over_gaps(one, lost) for lost, one in gaps]
         for k in range(ny):
             rows = [_as_rows(one, log.lost, k) for log, one in zip(logs, sums)]
             moves = np.concatenate([*rows, np.zeros(errors.shape[1])])
@@ -89,25 +93,39 @@ def inputs_answered(
     return False
 
 
-def _follow_less(logs: Sequence[Filtered], beside: Sequence[Array], i: int, size: float) -> bool:
-    """Whether inputs follow what is told, but less where output i is lost.
+def _cease_to_follow(
+    gaps: Sequence[tuple[Mask, Array]], *, level: float = 1e-3, least: float = 0.02, times: float = 3.0
+) -> bool:  # fmt: skip
+    """Whether inputs follow what is told up to a gap, and no longer at its end.
 
-    Most are there by more than a twentieth of their size away from it, and farther than elsewhere.
+    At more gaps than one in three they are there `times` as far from it, squared, as at both samples told last before,
+    beyond chance. Were one of the three as good as another, that would be so at fewer.
     """
-    squares = np.concatenate([one[log.between] ** 2 for log, one in zip(logs, beside)])
-    lost = np.concatenate([log.lost[log.between, i] for log in logs])
-    if lost.all() or not lost.any():
-        return False
-    gaps, rest = np.median(squares[lost]), np.median(squares[~lost])
-    return bool(squares[~lost].mean() < size and gaps > max(size / 5, 3 * rest))
+    ends, before = [np.zeros(0)], [np.zeros(0)]
+    for lost, beside in gaps:
+        last = np.maximum.accumulate(np.where(lost, -1, np.arange(lost.shape[1])), axis=1)
+        run, end = np.nonzero(lost[:, :-1] & ~lost[:, 1:])
+        first = last[run, end]
+        second = np.where(first > 0, last[run, first - 1], -1)
+        both = second >= 0
+        at = [beside[run[both], one[both]] ** 2 for one in (end, first, second)]
+        ends.append(at[0])
+        before.append(np.maximum(at[1], at[2]))
+    end, rest = np.concatenate(ends), np.concatenate(before)
+    count = np.count_nonzero(end > times * rest)
+    return bool(len(end) and np.median(end) > least and binom.sf(count - 1, len(end), 1 / 3) < level)
 
 
-def _unexplained(logs: Sequence[Filtered], samples: int = 20) -> list[Array]:
-    """Inputs (n, T, nu) less a feedback of what is told.
+def _unexplained(logs: Sequence[Filtered], output: int, samples: int = 20) -> list[Array]:
+    """Inputs (n, T, nu) less a feedback of what is told, another one where an output is lost.
 
     They are in units of their deviations, and the feedback is of each log; those that are short for it share one.
     """
-    rows, inputs = [log.told[log.between] for log in logs], [log.inputs[log.between] for log in logs]
+    rows, inputs = [], [log.inputs[log.between] for log in logs]
+    for log in logs:
+        told = log.told[log.between]
+        lost = log.lost[log.between, output][:, None]
+        rows.append(np.hstack([told, lost, told * lost]))
     short = [i for i, one in enumerate(rows) if len(one) < samples * one.shape[1]]
     found = [np.zeros_like(log.inputs) for log in logs]
     for group in [[i] for i in range(len(logs)) if i not in short] + [short] * bool(short):

@@ -59,9 +59,8 @@ class FitStatus(Outcome):
         "logged with noise show the same: state their sensors, Measurement(np.eye(nx), noise=…), and log outputs."
     )
     ANSWERED = (
-        "Inputs seem to have answered outputs that the log lost: in gaps they follow what was told before less than "
-        "elsewhere, or tell what comes after. A fit takes that for dynamics. Log what the controller sees, or leave "
-        "out runs with gaps."
+        "Inputs seem to have answered outputs that the log lost: beside what was told they tell the innovation after "
+        "a gap. A fit takes that for dynamics. Log what the controller sees, or leave out runs with gaps."
     )
     FEW = (
         "Too few values are measured: with fewer than twenty for each unknown, noise and correlations counted, "

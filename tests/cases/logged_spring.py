@@ -89,7 +89,10 @@ def with_gaps(law, lost, seed, gain=0.8, every=1):
         answers = {"holds": -0.3 * latest, "open": rng.uniform(-1, 1, (RUNS, 1))}
         answers["louder each run"] = np.linspace(0.1, 3.0, RUNS)[:, None] * answers["open"]
         answers["pulses"] = 2 * answers["open"] * (rng.random((RUNS, 1)) < 0.05)
-        inputs[:, k] = np.clip(answers.get(law, -(known + told * M.T) @ K.T), -3, 3)
+        feedback = -(known + told * M.T) @ K.T
+        answers["holds its input"] = np.where(missing[:, k], inputs[:, k - 1], feedback)
+        answers["rests"] = np.where(missing[:, k], 0.0, feedback)
+        inputs[:, k] = np.clip(answers.get(law, feedback), -3, 3)
         known = (known + told * M.T) @ An.T + inputs[:, k] @ Bn.T
         x = x @ A.T + inputs[:, k] @ B.T + 0.3 * rng.standard_normal((RUNS, 1)) @ E.T
     outputs[missing] = np.nan

@@ -19,13 +19,13 @@ def test_what_a_sensor_missed_tells_nothing():
     assert (np.abs(gaps.values - half.values) < 0.01 * half.deviations).all()
     assert gaps.innovation_variance == pytest.approx(half.innovation_variance, rel=1e-4)
     outputs = np.array(log.outputs)
-    outputs[::2, 10:30] = np.nan
+    outputs[::2, 40:60] = np.nan
     some = fit_plant(problem, OutputLog(outputs, log.inputs, P))
     assert gaps.status.name == "SOLVED"
     assert some.status.name == "ANSWERED"  # the law saw what the log lost
     with pytest.raises(InputError, match="ANSWERED"):
         updated_problem(problem, some)
-    assert half.deviations[2] > 1.2 * some.deviations[2]
+    assert half.deviations[2] > 1.1 * some.deviations[2]  # what follows the gaps counts
 
 
 @pytest.mark.parametrize(
@@ -59,12 +59,17 @@ def test_they_are_told_in_logs_of_one_run_each_too(law, status, apart):
     assert fit_plant(stated(), runs).status.name == status
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_experiments_that_are_louder_where_outputs_are_lost_answer_nothing(seed):
+@pytest.mark.long
+def test_experiments_that_are_louder_where_outputs_are_lost_answer_nothing():
     lost = np.where(np.arange(RUNS) < RUNS - 4, 0.0, 0.2)[:, None, None]
-    found = fit_plant(stated(), with_gaps("louder each run", lost, seed))
-    assert found.status.name == "SOLVED"
-    assert abs(found.values[2] + 0.2) < 3.5 * found.deviations[2]
+    found = [fit_plant(stated(), with_gaps("louder each run", lost, seed)).status.name for seed in range(20)]
+    assert found.count("SOLVED") >= 18  # 2 % are told by chance
+
+
+@pytest.mark.parametrize("law", ["holds its input", "rests"])
+@pytest.mark.parametrize("lost", [0.02, pytest.param(0.2, marks=pytest.mark.long)])
+def test_actuators_that_hold_or_rest_where_an_output_is_lost_answer_nothing(law, lost):
+    assert fit_plant(stated(), with_gaps(law, lost, 5)).status.name == "SOLVED"
 
 
 @pytest.mark.long
