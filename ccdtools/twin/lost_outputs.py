@@ -60,9 +60,8 @@ def inputs_answered(
 
     What they are beside a feedback of what is told then tells of the disturbance. So, summed over a gap, it tells the
     innovation after it, by a correlation of `size` and beyond chance: a score test (Rao 1948) beside the parameters
-    that were fitted. Inputs that nothing lost drives pass it whatever their law, but for a part `level` of the logs.
-    Long gaps are few, and the fit explains what follows them by the inputs: so inputs that follow what is told up to a
-    gap and no longer at its end count as answers, too.
+    that were fitted. Inputs that nothing lost drives pass it whatever their law, but for a part `level` of the logs;
+    five times that where inputs follow what is told up to a gap and no longer at its end, as answers do.
     """
     if not any(np.isnan(one).any() for one in outputs):
         return False
@@ -77,8 +76,7 @@ def inputs_answered(
     beside = [_unexplained(logs, i) for i in range(ny)]
     for i, j in product(range(ny), range(nu)):
         gaps = [(log.lost[:, :, i], one[:, :, j]) for log, one in zip(logs, beside[i])]
-        if _cease_to_follow(gaps):
-            return True
+        chance = (5 if _cease_to_follow(gaps) else 1) * level / ny**2 / nu
         sums = [_over_gaps(one, lost) for lost, one in gaps]
         for k in range(ny):
             rows = [_as_rows(one, log.lost, k) for log, one in zip(logs, sums)]
@@ -87,20 +85,22 @@ def inputs_answered(
             moves = moves - known @ (known.T @ moves)
             rises = (moves * errors.ravel()).reshape(2, -1).sum(axis=0)
             alike = np.sum(moves**2) ** 2 / max(np.sum(moves**4), np.finfo(float).tiny)  # samples of equal weight
-            chance = t.isf(level / ny**2 / nu / 2, max(alike, 1.0)) * np.linalg.norm(rises)
-            if abs(rises.sum()) > max(chance, least):
+            beyond = t.isf(chance / 2, max(alike, 1.0)) * np.linalg.norm(rises)
+            if abs(rises.sum()) > max(beyond, least):
                 return True
     return False
 
 
 def _cease_to_follow(
-    gaps: Sequence[tuple[Mask, Array]], *, level: float = 1e-3, least: float = 0.02, times: float = 3.0
+    gaps: Sequence[tuple[Mask, Array]], *, level: float = 1e-3, most: float = 0.1, least: float = 0.02
 ) -> bool:  # fmt: skip
-    """Whether inputs follow what is told up to a gap, and no longer at its end.
+    """Whether inputs follow what is told, but at the end of gaps no longer.
 
-    At more gaps than one in three they are there `times` as far from it, squared, as at both samples told last before,
+    At more gaps than one in three they are there thrice as far from it, squared, as at both samples told last before,
     beyond chance. Were one of the three as good as another, that would be so at fewer.
     """
+    if np.mean(np.concatenate([beside[~lost] ** 2 for lost, beside in gaps])) > most:
+        return False
     ends, before = [np.zeros(0)], [np.zeros(0)]
     for lost, beside in gaps:
         last = np.maximum.accumulate(np.where(lost, -1, np.arange(lost.shape[1])), axis=1)
@@ -112,7 +112,7 @@ def _cease_to_follow(
         ends.append(at[0])
         before.append(np.maximum(at[1], at[2]))
     end, rest = np.concatenate(ends), np.concatenate(before)
-    count = np.count_nonzero(end > times * rest)
+    count = np.count_nonzero(end > 3 * rest)
     return bool(len(end) and np.median(end) > least and binom.sf(count - 1, len(end), 1 / 3) < level)
 
 
