@@ -105,7 +105,7 @@ class Generations:
             end = stopped(found)
             if end is not None:
                 self.echo(f"Generation {generation}: {end['text']}")
-                self._meet(max(generation - 1, 1))  # what it would have met, no deployment has
+                self._meet(generation - 1)  # what it would have met, no deployment has
                 break
             twin, record = self._next(generation, found, twin, history)
             served = self._stage(
