@@ -99,7 +99,8 @@ def _cease_to_follow(
     At more gaps than one in three they are there thrice as far from it, squared, as at both samples told last before,
     beyond chance. Were one of the three as good as another, that would be so at fewer.
     """
-    if np.mean(np.concatenate([beside[~lost] ** 2 for lost, beside in gaps])) > most:
+    squares = np.concatenate([beside[~lost] ** 2 for lost, beside in gaps])
+    if squares.sum() > most * len(squares):
         return False
     ends, before = [np.zeros(0)], [np.zeros(0)]
     for lost, beside in gaps:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from logged_spring import RUNS, STEPS, P, logged, spring, stated, with_gaps
 
-from ccdtools import InputError
+from ccdtools import InputError, Measurement
 from ccdtools.twin import OutputLog, fit_plant, updated_problem
 
 
@@ -79,6 +79,15 @@ def test_units_of_inputs_and_outputs_change_nothing(law):
     told, scaled = fit_plant(stated(), log), fit_plant(stated(unit=1e3), OutputLog(1e3 * log.outputs, log.inputs, P))
     assert told.status == scaled.status
     assert told.values[2] == pytest.approx(scaled.values[2], abs=0.01 * told.deviations[2])
+
+
+def test_a_sensor_that_tells_nothing_at_all_changes_nothing():
+    log, dead = with_gaps("open", 0.1, 3), np.full((RUNS, STEPS, 1), np.nan)
+    problem = stated(measurement=Measurement(np.eye(2), noise=[0.05, 0.05]))
+    found = fit_plant(problem, OutputLog(np.concatenate([log.outputs, dead], axis=2), log.inputs, P))
+    alone = fit_plant(stated(), log)
+    assert found.status == alone.status
+    assert (np.abs(found.values - alone.values)[:4] < 0.01 * alone.deviations[:4]).all()
 
 
 @pytest.mark.parametrize(("law", "status"), [("sees all", "ANSWERED"), ("open", "SOLVED")])
