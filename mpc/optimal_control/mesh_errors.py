@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE
+from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL
 
 
 class Missed(NamedTuple):
@@ -25,10 +26,11 @@ class Missed(NamedTuple):
     cost: Array
 
 
-def mesh_errors(phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
+def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
     """Errors of a phase's dynamics and cost over each interval.
 
-    Those of the dynamics are beside the largest value of a state, or a hundred times its extent where that is less.
+    Those of the dynamics are beside the largest value of a state, or a hundred times its extent where that is less;
+    beside rounding of its size in the program, where it rests.
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
@@ -44,14 +46,16 @@ def mesh_errors(phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
     if phase.part.phase.discrete:
         return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
-    along = np.vstack([phase.states, phase.stages.states.reshape(-1, phase.states.shape[1])])
+    along = _states(phase)
     largest, extent = np.abs(along).max(axis=0), np.ptp(along, axis=0)
     size = np.maximum(np.minimum(largest, extent / LEAST_MOVE), NEGLIGIBLE * np.maximum(largest, moved))
-    if isinstance(scheme, Collocation):
-        found = _by_residual(phase, scheme, multipliers)
-    else:
-        found = _by_finer_steps(phase, scheme, multipliers)
-    relative = found.dynamics / np.where(size > 0, size, 1.0)
+    size = np.maximum(size, PRIMAL * _scales(program, phase, range(len(size))))
+    with np.errstate(over="ignore", invalid="ignore"):  # of what is no number between the points
+        if isinstance(scheme, Collocation):
+            found = _by_residual(phase, scheme, multipliers)
+        else:
+            found = _by_finer_steps(phase, scheme, multipliers)
+    relative = found.dynamics / size
     worst, cost = relative.max(axis=1), np.abs(found.cost)
     return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost)))
 
@@ -141,17 +145,21 @@ def path_excess(program: NonlinearProgram, phase: PhaseSolution) -> Excess:
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
-    places = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
+    mesh, signal = phase.part.mesh, phase.part.phase.signal
+    knots = np.linspace(0, 1, len(signal) if isinstance(signal, np.ndarray) else 0)
+    regular = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
+    places = np.sort(np.concatenate([regular, np.interp(knots, mesh, np.arange(N + 1))]))
+    within = np.minimum(places.astype(int), N - 1)
     beyond = _beyond(phase, places)
-    relative = beyond.reshape(m, N, LIMIT_CHECKS).max(axis=2) / sizes
+    relative = np.maximum.reduceat(beyond, np.searchsorted(within, np.arange(N)), axis=1) / sizes
     rows, first = _peaks(beyond)
     value, place, local = _closer(phase, rows, places[first])
     k = np.minimum(place.astype(int), N - 1)
     of_size = np.where(value > LIMIT_PASSED / 10 * sizes[rows, k], value / np.minimum(sizes[rows, k], local), 0.0)
     np.maximum.at(relative, (rows, k), np.maximum(of_size, _of_obstacles(phase, place, rows, value)))
     worst = relative.argmax(axis=1)
-    seen = beyond.reshape(m, N, LIMIT_CHECKS)[np.arange(m), worst]
-    depth, when = np.maximum(seen.max(axis=1), 0.0), worst + (seen.argmax(axis=1) + 0.5) / LIMIT_CHECKS
+    seen = np.where(within == worst[:, None], beyond, -np.inf)
+    depth, when = np.maximum(seen.max(axis=1), 0.0), places[seen.argmax(axis=1)]
     for row, interval, at, deep in zip(rows, k, place, value):
         if interval == worst[row] and deep > depth[row]:
             depth[row], when[row] = deep, at
@@ -285,8 +293,7 @@ def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> 
 def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
     """Sizes (m, N) of the limits of a phase."""
     part, own, extents = phase.part, phase.part.phase.bounded, _extents(phase)
-    scale = np.array([program.scale[part.first : part.last][part.coordinates[0] == i].max() for i in own])
-    size = np.maximum(extents[own], LEAST_MOVE * scale)
+    size = np.maximum(extents[own], LEAST_MOVE * _scales(program, phase, own))
     of_states = np.tile(size.reshape(-1, 1), (1, part.intervals))
     m, shared = len(part.functions.path_names), int(part.scheme.continuous_inputs)
     if not m or part.phase.discrete:
@@ -302,4 +309,15 @@ def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
 
 def _extents(phase: PhaseSolution) -> Array:
     """Extents (nx + nu,) of states and inputs along a phase."""
-    return np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
+    return np.concatenate([np.ptp(_states(phase), axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
+
+
+def _states(phase: PhaseSolution) -> Array:
+    """States (n, nx) that are known of a phase."""
+    return np.vstack([phase.states, phase.stages.along.reshape(-1, phase.states.shape[1])])
+
+
+def _scales(program: NonlinearProgram, phase: PhaseSolution, states: Iterable[int]) -> Array:
+    """Sizes of states of a phase in the program."""
+    part = phase.part
+    return np.array([program.scale[part.first : part.last][part.coordinates[0] == i].max() for i in states])

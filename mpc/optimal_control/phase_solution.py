@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mpc.budgets import LIMIT_CHECKS
 from mpc.checks import Array, as_floats
-from mpc.optimal_control.interval import times_of
+from mpc.optimal_control.interval import layout_of, times_of
 from mpc.optimal_control.phase import evaluated, interpolated, signal_along
+from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
@@ -23,7 +25,8 @@ class Stages:
     times: Array  # (N, d)
     states: Array  # (N, d, nx)
     inputs: Array  # (N, d, nu)
-    rates: Array  # (N, d, nx): dx/dt there; of shooting at both ends of an interval
+    along: Array  # (N, c, nx): states there; of shooting at both ends of every step of its integration
+    rates: Array  # (N, c, nx): dx/dt at these
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +102,12 @@ class PhaseSolution:
         if isinstance(self.part.scheme, Collocation):
             weights = self.part.scheme.integrals(tau)
             return np.asarray(self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k]))
-        a, b = tau[:, None], tau[:, None] - 1  # of the cubic that meets states and rates at both ends
-        ends = self.states[k] * (1 + 2 * a) * b**2 + self.states[k + 1] * a**2 * (3 - 2 * a)
-        return np.asarray(ends + h * (self.stages.rates[k, 0] * a * b**2 + self.stages.rates[k, 1] * a**2 * b))
+        steps, x, rates = self.stages.along.shape[1] - 1, self.stages.along, self.stages.rates
+        j = np.minimum((tau * steps).astype(int), steps - 1)
+        a = (tau * steps - j)[:, None]
+        b = a - 1  # of the cubic that meets states and rates at both ends of a step
+        ends = x[k, j] * (1 + 2 * a) * b**2 + x[k, j + 1] * a**2 * (3 - 2 * a)
+        return np.asarray(ends + h / steps * (rates[k, j] * a * b**2 + rates[k, j + 1] * a**2 * b))
 
     def inputs_within(self, k: Any, tau: Array) -> Array:
         """Inputs and algebraic variables (n, nu + nz) at fractions (n,) of intervals k (n,)."""
@@ -156,9 +162,10 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     w = signal_along(part.phase, times_of(layout.signals, part.mesh))
     stage_states, stage_inputs = (np.stack(values, axis=0).transpose(2, 0, 1) for values in of_points)
     at, states, inputs = times, stage_states, stage_inputs
-    if isinstance(part.scheme, MultipleShooting) and not discrete:  # at both ends
-        at, states = (np.stack([known[:-1], known[1:]], axis=1) for known in (mesh_times, x.T))
-        inputs = np.repeat(inputs, 2, axis=1)
+    if isinstance(part.scheme, MultipleShooting) and not discrete:
+        states = _steps(part, x[:, :-1], own, p, mesh_times, part.scheme)
+        at = start + length * times_of(np.linspace(0, 1, states.shape[1]).tolist(), part.mesh)
+        inputs = np.repeat(inputs, states.shape[1], axis=1)
     flat_states, flat_inputs = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
     rates = evaluated(part.functions.dynamics, part.phase, flat_states, flat_inputs, at.ravel(), p)
     # costates are the Lagrangian's derivatives by the interval ends
@@ -168,5 +175,18 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     values = [np.zeros((part.interval.numel_out(i), N)) for i in range(3)]
     found = part.interval.reverse(1)(*arguments, *values, pushes[0], weight, pushes[1])
     costates = np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
-    stages = Stages(times, stage_states, stage_inputs, rates.reshape(states.shape))
+    stages = Stages(times, stage_states, stage_inputs, states, rates.reshape(states.shape))
     return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)
+
+
+def _steps(part: PhasePart, x: Array, own: Array, p: Array, times: Array, scheme: MultipleShooting) -> Array:
+    """States (N, steps + 1, nx) of shooting from states (nx, N), of CVODES at places that limits are looked at."""
+    count = scheme.substeps if scheme.integrator == "rk4" else LIMIT_CHECKS
+    one, none, h = replace(scheme, substeps=1), np.zeros((0, len(times) - 1)), np.diff(times) / count
+    layout = layout_of(part.phase, part.layout.nw, one)
+    step, states = interval_function(part.phase, part.functions, one, layout, len(p)), [x]
+    for j in range(count):
+        w = signal_along(part.phase, times_of([(j + c) / count for c in layout.signals], part.mesh)).T
+        found = step(states[-1], none, own, np.zeros(x.shape), none, p, (times[:-1] + j * h)[None], h[None], w)
+        states.append(np.asarray(found[0], dtype=float))
+    return np.stack(states, axis=0).transpose(2, 0, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -222,6 +223,16 @@ def rescaled(
     return with_sizes_of_rows(
         replace(program, scale=scale, row_scale=row_scale, centre=centre, guess=v, cost_scale=cost_scale)
     )
+
+
+def longer(program: NonlinearProgram, v: Array) -> Iterator[Array]:
+    """Unknowns with longer free durations, up to their bounds; none where all are given."""
+    free = [part.duration for part in program.parts if part.duration >= 0]
+    upper = program.upper[free]
+    for share in (0.5, 1.0) if free else ():
+        other = v.copy()
+        other[free] = v[free] * np.where(np.isfinite(upper), (upper / v[free]) ** share, 100.0**share)
+        yield other
 
 
 def sized_as(program: NonlinearProgram, other: NonlinearProgram) -> NonlinearProgram:

@@ -52,6 +52,7 @@ class _Sample:
     size: float  # of the cost
     dear: float
     clock: Clock
+    far: bool  # whether a first path costs more than that
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +114,14 @@ class QuadraticPlanner:
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, given)
-                known = [first, self._held(first, given)]
+                most = self._cost_to_stay(self._held(first, given), given)
             else:
                 first = Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=carried(before))
-                known = [first]
-            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
-            sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
+                most = np.inf
+            cost = cost_of(self.law, first.inputs, first.states, given)
+            size = max(min(cost, most), TINY)
+            dear = VIOLATION_PRICE * size
+            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
             found = clock.stamped(self._found(sample))
             if found.solver == REAL_TIME or found.status not in OPTIMA:
                 best = self._best(sample, found)
@@ -147,7 +150,9 @@ class QuadraticPlanner:
             found = self._plan(sample, done[-1].moved, status)
             if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
                 return found
-        at = self._contracted(sample, replace(first, name=CONVERGING))
+        at = replace(first, name=CONVERGING, last=None)
+        if not sample.far:
+            at = self._contracted(sample, at)
         if sample.clock.up:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
@@ -160,7 +165,7 @@ class QuadraticPlanner:
         plans = [] if at.last is None else [self._plan(sample, at)]
         # a first path is the linear law's, which Ipopt need not solve again
         known = list(plans) if not follow and at.solved and at.last and at.last.strict else []
-        tried = (self._plan(sample, one) for one in self._from_starts(sample, len(known)) if one.last is not None)
+        tried = (self._plan(sample, one) for one in self._from_starts(sample, bool(known)) if one.last is not None)
         plans += until_most_agree(chain(known, tried), self.starts)
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
@@ -199,10 +204,10 @@ class QuadraticPlanner:
         stated = partial(self.stages.at, sample.x, given=sample.given)
         return programs(at, stated, sample.clock, dear=sample.dear)
 
-    def _from_starts(self, sample: _Sample, known: int) -> Iterator[Path]:
-        """Paths that Ipopt comes to from the starts after those known; one where a plan leads to it."""
+    def _from_starts(self, sample: _Sample, known: bool) -> Iterator[Path]:
+        """Paths that Ipopt comes to from the starts, but for a known linear law; one where a plan leads to it."""
         general = self._general(self.law.soft or (sample.dear, sample.dear))
-        for path in islice(self._starting_paths(sample), known, None):
+        for path in self._starting_paths(sample, known):
             if sample.clock.up:
                 return
             more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
@@ -215,13 +220,15 @@ class QuadraticPlanner:
             if path.name == SHIFTED and at.solved:
                 return
 
-    def _starting_paths(self, sample: _Sample) -> Iterator[Path]:
-        """Plan to follow; linear law; straight way to the reference; state held; inputs by chance."""
+    def _starting_paths(self, sample: _Sample, known: bool) -> Iterator[Path]:
+        """Plan to follow; linear law, unless known; straight way to the reference; state held; inputs by chance.
+
+        A law that leads far away, from where Ipopt takes long, comes after the others.
+        """
         law = sample.first
         if law.name == SHIFTED:
             yield law
             law = self._linear_law(sample.x, sample.given)
-        yield law
         held, size, rng = self._held(law, sample.given), self.stages.sizes[1], np.random.default_rng(0)
         end, _ = references(self.law, sample.given)
         free = replace(held, gains=None)
@@ -233,8 +240,11 @@ class QuadraticPlanner:
 
         others = beginnings((held.states, held.inputs), sample.x, end, led_to, rng, (-size, size))
         first, straight = islice(others, 2)
-        for states, inputs in islice(chain((straight, first), others), self.starts - 1):
-            yield replace(held, states=states, inputs=inputs)
+        begun = islice(chain((straight, first), others), self.starts - 1)
+        paths = [replace(held, states=states, inputs=inputs) for states, inputs in begun]
+        at = 2 if sample.far else 0
+        paths[at:at] = [] if known else [law]
+        yield from paths
 
     def _aside(self, path: Path) -> Path:
         """Path with inputs that break its symmetries, the same every time."""
@@ -263,6 +273,13 @@ class QuadraticPlanner:
         """Path that stays where another begins, inputs at their reference."""
         _, inputs = references(self.law, given)
         return replace(path, states=np.tile(path.states[0], (len(path.states), 1)), inputs=inputs)
+
+    def _cost_to_stay(self, held: Path, given: Given) -> float:
+        """Cost of a state held, and of what the model drifts from there in each sample."""
+        after, _, _ = self.model.linearised(held.states[:-1], held.inputs, disturbance(self.law, given), self.p)
+        drift = finite(after) - held.states[1:]
+        staying = np.sum(drift @ (self.law.Q + self.law.P) * drift)
+        return cost_of(self.law, held.inputs, held.states, given) + float(staying)
 
     def _followed(self, x: Array, path: Path, given: Given) -> Path:
         """Path on the model itself from x, within input limits; finite."""

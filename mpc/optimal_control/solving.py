@@ -24,6 +24,7 @@ from mpc.optimal_control.program import (
     NonlinearProgram,
     costs_of_scenarios,
     elastic,
+    longer,
     rescaled,
     shaken,
     sized_as,
@@ -274,7 +275,8 @@ class Run:
         """
         program = self.program
         least: Found | None = None
-        for guess in (found.v, np.clip(program.guess, program.lower, program.upper), shaken(program)):
+        first = np.clip(program.guess, program.lower, program.upper)
+        for guess in (found.v, first, shaken(program), *longer(program, first)):
             loose = elastic(program, guess)
             tried = once(loose, loose.guess, None, self.left(warm=False))
             self.iterations += tried.iterations

@@ -80,7 +80,7 @@ def round_inputs(solution: Solution, *, inputs: Sequence[int] | None = None, one
     given = free if inputs is None else np.ravel(np.array(inputs, dtype=object))
     own = [as_count("inputs", place, least=0) for place in given]
     bounds = np.array(part.phase.u_bounds)[:, own] if own and len({*own}) == len(own) and {*own} <= {*free} else np.nan
-    if not np.array_equal(bounds, np.round(bounds)):
+    if not (np.isfinite(bounds).all() and np.array_equal(bounds, np.round(bounds))):
         raise InputError("inputs", own, f"places of inputs with whole bounds, each once, below {len(free)}")
     lower, upper, points = program.lower.copy(), program.upper.copy(), len(part.layout.held)
     weights = part.scheme.matrix[-1] if points > 1 else np.ones(1)  # type: ignore[union-attr]  # shooting has 1 point

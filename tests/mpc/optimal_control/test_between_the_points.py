@@ -10,6 +10,7 @@ from trajectory_verdicts import coarse, field, judged_field, judged_mesh
 
 from mpc.optimal_control import (
     HermiteSimpson,
+    MultipleShooting,
     OptimalControlProblem,
     OptimalControlStatus,
     Phase,
@@ -76,6 +77,54 @@ def test_a_bound_of_a_state_that_is_passed_between_the_points_is_told():
     assert refine(slow).solved
 
 
+@pytest.mark.parametrize("scheme", [MultipleShooting(40), MultipleShooting(integrator="cvodes")])
+def test_a_swing_within_the_intervals_of_shooting_is_seen(scheme):
+    # a load on a base, of period 1 where intervals take about as long
+    along = Phase(
+        lambda x, u: ca.vertcat(x[1], -39.478 * (x[0] - x[2]), u), 3, 1, start=[-1, 0, 0], end=[None, None, 1],
+        duration=5.02, u_bounds=(-1, 1), x_bounds=([-9, -99, -9], [0.6, 99, 9]), stage_cost=lambda u: u**2,
+    )  # fmt: skip
+    found = solve(build(along, scheme, 5))
+    assert found.status is OptimalControlStatus.LIMITS_PASSED
+    apart, x = 0.0, found.phases[0].states[0]
+    for k, (begin, end) in enumerate(zip(found.times[:-1], found.times[1:])):
+        times, u = np.linspace(begin, end, 100), found.phases[0].inputs[k, 0]
+        true = solve_ivp(lambda t, x, u=u: [x[1], -39.478 * (x[0] - x[2]), u], (begin, end), x, t_eval=times, rtol=1e-9)
+        apart, x = max(apart, np.abs(found.x(times)[:, 0] - true.y[0]).max()), true.y[:, -1]
+    assert apart < 1e-2
+
+
+@pytest.mark.parametrize("row", [531, 537, 544])
+def test_a_limit_that_dips_at_one_row_of_a_table_is_kept_there(row):
+    table = np.ones((1001, 1))
+    table[row] = -0.2
+    found = refine(Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[0, 0], signal=table, path=lambda x, w: x[0] - w[0],
+        stage_cost=lambda x, u: 1e-3 * u**2 - 10 * x[0],
+    ))  # fmt: skip
+    assert found.solved
+    over = (found.x(np.linspace(0, 1, 1001)) - table)[:, 0].max()
+    assert over <= 2e-5
+    assert found.cost > -1.5
+
+
+def test_a_state_that_rests_makes_no_mesh_coarse():
+    straight_up = Phase(
+        lambda x, u: ca.vertcat(
+            x[3:], -(u[0] + u[1]) * ca.sin(x[2]), (u[0] + u[1]) * ca.cos(x[2]) - 9.81, 10 * (u[0] - u[1])
+        ), 6, 2, start=[0] * 6, end=[0, 1, 0, 0, 0, 0], u_bounds=(0, 15), stage_cost=lambda u: ca.sumsqr(u),
+    )  # fmt: skip
+    across = Phase(
+        lambda u: ca.vertcat(ca.cos(u) + 0.5, ca.sin(u)), 2, 1, start=[0, 0], end=[0, 5], duration=(0.1, 50),
+        terminal_cost=lambda t: t,
+    )  # fmt: skip
+    for phase, cost in ((straight_up, 54.11805), (across, 5 / np.sqrt(0.75))):
+        found = solve(phase)
+        assert found.solved
+        assert found.cost == pytest.approx(cost, rel=1e-7)
+        assert found.mesh_error < 1e-6
+
+
 @pytest.mark.long
 def test_inputs_that_jump_under_a_limit_of_their_own_are_refined():
     # the least time with a round limit of the thrust, whose direction turns fast
@@ -108,8 +157,8 @@ def test_limits_passed_between_points_of_high_degree_count_in_the_error_of_the_c
         assert 0.1 < found.cost_error / abs(found.cost - true) < 10
 
 
-@pytest.mark.parametrize(("row", "solved"), [(1, False), (333, True), (998, False)])
-def test_a_spike_of_a_signal_between_the_points_is_met_or_said(row, solved):
+@pytest.mark.parametrize("row", [1, 333, 998])
+def test_a_spike_of_a_signal_between_the_points_is_met(row):
     # x' = −x + u + w with a triangle of area 0.5; by three points in each of ten intervals w is 0
     table = np.zeros((1001, 1))
     table[row] = 50.0
@@ -117,13 +166,10 @@ def test_a_spike_of_a_signal_between_the_points_is_met_or_said(row, solved):
         lambda x, u, w: -x + u + w, 1, 1, start=[0.0], duration=10.0, stage_cost=lambda x, u: x**2 + u**2, signal=table,
         u_bounds=(-5, 5),
     ))  # fmt: skip
-    assert found.solved == solved, found.advice
-    if solved:
-        fine = solve(build(found.program.problem, Radau(3), intervals=2000))
-        assert found.cost == pytest.approx(fine.cost, rel=1e-4)
-        assert found.cost > 0.08
-    else:
-        assert "misses the dynamics by 5.0e-01" in found.advice
+    assert found.solved, found.advice
+    fine = solve(build(found.program.problem, Radau(3), intervals=2000))
+    assert found.cost == pytest.approx(fine.cost, rel=1e-4)
+    assert found.cost > 0.004
 
 
 def test_a_condition_on_times_alone_is_one_where_they_are_free():

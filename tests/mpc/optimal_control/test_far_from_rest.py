@@ -9,7 +9,7 @@ import pytest
 from nonlinear_programs import optimum
 
 from mpc import InputError, NotConvexError, Status
-from mpc.optimal_control import NonlinearMPC
+from mpc.optimal_control import NonlinearMPC, sampled
 
 Q, R = np.diag([10.0, 10.0, 0.1, 0.1]), np.diag([0.01, 0.01])
 STRONGEST = np.array([6.0, 3.0])
@@ -183,6 +183,24 @@ def test_limits_of_states_that_cannot_be_kept_far_from_rest_are_softened():
     assert plan.status is Status.SOFTENED
     assert plan.violation > 1.0
     assert (np.abs(plan.inputs) <= STRONGEST * (1 + 1e-9)).all()
+
+
+@pytest.mark.long
+def test_limits_that_a_known_disturbance_breaks_have_their_price_at_rest_too():
+    def pole(x, u, w):
+        sine, cosine = ca.sin(x[2]), ca.cos(x[2])
+        push = (u[0] + w[0] + 0.1 * x[3] ** 2 * sine - 1.962 * sine * cosine) / (1 + 0.2 * sine**2)
+        return ca.vertcat(x[1], push, x[3], (9.81 * sine - push * cosine) / 0.5)
+
+    track = np.array([0.6, 9, 9, 99])
+    controller = NonlinearMPC(
+        sampled(pole, 0.04), 4, 1, Q=[4, 0.25, 25, 0.25], R=0.01, horizon=30, X=(-track, track), U=(-10, 10),
+        disturbances=1,
+    )  # fmt: skip
+    pushed = np.full((30, 1), 12.0)
+    at_rest, beside = (controller.solve([0, 0, angle, 0], w=pushed) for angle in (0.0, 0.05))
+    assert at_rest.status is beside.status is Status.SOFTENED
+    assert at_rest.violation == pytest.approx(beside.violation, rel=0.05)
 
 
 @pytest.mark.parametrize("far", [1e80, 1e150, 1e200])

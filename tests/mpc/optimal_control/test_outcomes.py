@@ -84,6 +84,17 @@ def test_a_problem_that_is_feasible_is_not_called_infeasible_from_a_bad_guess():
     assert plain.cost == pytest.approx(led.cost, rel=1e-5)
 
 
+@pytest.mark.parametrize(("far", "guess", "longest"), [(6.0, None, 50), (10.0, 1.0, 50), (6.0, None, np.inf)])
+def test_a_duration_that_is_guessed_too_short_makes_nothing_infeasible(far, guess, longest):
+    # to rest in the least time, as long as half a swing for every two of the way
+    found = solve(build(Phase(
+        lambda x, u: ca.vertcat(x[1], u - x[0]), 2, 1, start=[far, 0], end=[0, 0], u_bounds=(-1, 1),
+        duration=(0.1, longest), duration_guess=guess, terminal_cost=lambda t: t,
+    ), intervals=40))  # fmt: skip
+    assert found.solved_on_mesh
+    assert found.cost == pytest.approx(far / 2 * np.pi, rel=0.02)
+
+
 @pytest.mark.parametrize(
     "cost", [lambda x: -x[0], lambda u: -(u**2), lambda u: -ca.exp(u)], ids=["linear", "concave", "exponential"]
 )

@@ -194,7 +194,8 @@ def test_limits_that_whole_inputs_cannot_keep_are_conflicts():
 @pytest.mark.parametrize(("changes", "options", "said"), [
     ({}, {"inputs": [1]}, "inputs"), ({}, {"inputs": []}, "inputs"), ({}, {"inputs": [0, 0]}, "inputs"),
     ({}, {"inputs": [0.0]}, "inputs"), ({}, {"inputs": [[0], [0, 0]]}, "inputs"), ({}, {"inputs": False}, "inputs"),
-    ({"u_bounds": (0, 2.5)}, {}, "whole bounds"), ({}, {"one_of": True}, "sum to 1"),
+    ({"u_bounds": (0, 2.5)}, {}, "whole bounds"), ({"u_bounds": (0, np.inf)}, {}, "whole bounds"),
+    ({}, {"one_of": True}, "sum to 1"),
 ])  # fmt: skip
 def test_wrong_roundings_are_named(changes, options, said):
     with pytest.raises(InputError, match=said):
