@@ -137,6 +137,13 @@ class Local:
         """Limits (m,) that are hard."""
         return np.asarray(np.isinf(np.append(self.prices[:, 0], np.inf))[self.rows.slots])
 
+    @property
+    def passed(self) -> tuple[float, float]:
+        """Largest violation of a hard limit, in its own unit and in sizes of its row."""
+        over = np.where(self.hard, np.maximum(-self.room, 0.0), 0.0)
+        own, relative = (np.nan_to_num(part, nan=np.inf).max(initial=0.0) for part in (over, over / self.rows.units))
+        return float(own), float(relative)
+
     def priced(self, relaxed: bool, dear: float) -> Array:
         """Prices of violations, `dear` of relaxed hard limits."""
         return np.where(np.isinf(self.prices) & relaxed, dear, self.prices)

@@ -14,13 +14,14 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.algebraic import eliminated
 from mpc.optimal_control.bounds import INF
 from mpc.optimal_control.functions import wanted
-from mpc.optimal_control.interval import first_guess
+from mpc.optimal_control.interval import first_guess, phase_unknowns
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, places_of_violations, relaxable
 from mpc.optimal_control.schemes import sampled
 from mpc.optimal_control.transcription import build
 from mpc.rollout import Given
+from mpc.tolerances import WELL_SIZED
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,10 @@ class LoopPhase(Immutable):
         lower[states], upper[states] = -INF, INF
         if self.sizes is not None:
             scale[known] = self.sizes[numbers[known - part.first]]
+        else:  # bounds that nothing reaches tell no size
+            loose = replace(part.phase, x_bounds=(-INF, INF), start=None, end=None)
+            moved = phase_unknowns(loose, part.functions, parameters, part.layout, part.mesh)[3][states - part.first]
+            scale[states] = np.where(scale[states] > WELL_SIZED * moved, moved, scale[states])
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
@@ -22,7 +22,7 @@ from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, until_most_agree
+from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -41,20 +41,21 @@ class _Tried:
 
     found: Found
     cost: float
-    violation: float  # of a limit of states, in sizes of its row
+    violation: float  # of a hard limit, in its unit
+    passed: float  # the same in sizes of its row
 
     @property
     def status(self) -> Status:
         """Status: an optimum only where its own conditions hold, and all limits."""
         if status_of(self.found) is OptimalControlStatus.SOLVED:
-            return Status.SOLVED if self.violation <= FEASIBLE else Status.SOFTENED
-        feasible = max(self.violation, self.found.residuals.primal) <= FEASIBLE and np.isfinite(self.cost)
+            return Status.SOLVED if self.passed <= FEASIBLE else Status.SOFTENED
+        feasible = np.maximum(self.passed, self.found.residuals.primal) <= FEASIBLE and np.isfinite(self.cost)
         return Status.INACCURATE if feasible else Status.REPLACED
 
     @property
     def rank(self) -> tuple[int, float]:
         """Rank: optima by their cost, softened ones and others by their violation."""
-        worth = self.cost if self.status is Status.SOLVED else self.violation + self.found.residuals.primal
+        worth = self.cost if self.status is Status.SOLVED else self.passed + self.found.residuals.primal
         return RANKS.index(self.status), worth if np.isfinite(worth) else np.inf
 
 
@@ -133,7 +134,8 @@ class LoopPlanner:
         clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
-            return clock.stamped(found or self._planned(x, given, before, clock))
+            found = found or self._planned(x, given, before, clock)
+        return clock.stamped(told_of_inputs(found, self.loop.phase.u_bounds, self.loop.rate_limit, given))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
         """Optimum that quadratic programs lead to, or None."""
@@ -144,8 +146,10 @@ class LoopPlanner:
             path = contracted(programs(first, stated, clock, times=times), self.most)
             if path is None or path.last is None or not path.error <= KKT:
                 return None
+            if path.inputs is before.inputs and not path.last.strict:  # it may be a saddle
+                return None
             found, first = self._optimum(path.last), path.moved
-            if found.violation <= KKT:  # else the price may be too low
+            if path.last.local.passed[1] <= KKT:  # else the price may be too low
                 break
         return found if found.status in (Status.SOLVED, before.status) else None  # from elsewhere limits may be kept
 
@@ -158,11 +162,11 @@ class LoopPlanner:
     def _optimum(self, step: Step) -> Plan:
         """Plan of a step that moves it no more."""
         local, nx, bounds = step.local, self.loop.phase.states, self.loop.phase.u_bounds
-        over = np.where(local.hard, -local.room / local.rows.units, 0.0).max(initial=0.0)
-        status = Status.SOLVED if over <= FEASIBLE else Status.SOFTENED
+        over, relative = local.passed
+        status = Status.SOLVED if relative <= FEASIBLE else Status.SOFTENED
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
         return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
-                    float(over), 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
+                    over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it."""
@@ -178,21 +182,29 @@ class LoopPlanner:
         program = self._sample(x, given)
         run = Run(program, self._settings)
         tried: list[_Tried] = []
+        solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:
-            v = self._unknowns(program, before.states, before.inputs, given)
-            tried.append(self._solved(run, program, v, PRICE**2))
+            v = self._unknowns(program, before.states, self._aside(before.inputs), given)
+            tried.append(solved(v, PRICE**2))
         if not tried or tried[0].status in RANKS[2:]:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
-            tried += self._from_starts(run, program, guesses, clock)
+            own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.late))
+            tried += until_most_agree(own, len(guesses))
             least = min(tried, key=lambda one: one.rank)
             if least.status is not Status.SOLVED and not clock.late:
-                tried.append(self._solved(run, program, least.found.v, PRICE**2))
+                tried.append(solved(least.found.v, PRICE**2))
         best = min(tried, key=lambda one: one.rank)
-        if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
+        bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
+        if best.status in RANKS[2:] and not bounded and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
-        return self._with_multipliers(plan, x, given) if plan.status in RANKS[:2] else plan
+        if plan.status not in RANKS[:2]:
+            return plan
+        plan = self._with_multipliers(plan, x, given)
+        # limits that are small beside the way are kept to their own sizes by programs
+        nearer = self._followed(x, given, plan, clock) if plan.status is Status.SOFTENED and not clock.late else None
+        return nearer or plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to, or None.
@@ -204,8 +216,7 @@ class LoopPlanner:
         program = replace(self._sample(x, given), cost_scale=cost)
         settings = replace(self._settings, tolerance=SOLVERS)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
-        nodes, own, _, _ = program.parts[0].unknowns(found.v)
-        return nodes[: len(x)].T.copy(), own.T.copy()
+        return self._trajectory(found.v)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""
@@ -218,13 +229,8 @@ class LoopPlanner:
         t = given["t"] + k * self.loop.dt
         return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
 
-    def _from_starts(self, run: Run, program: Any, guesses: list[Array], clock: Clock) -> Iterator[_Tried]:
-        """Results from unknowns with hard limits, as long as there is time."""
-        own = (v for i, v in enumerate(guesses) if not (i and clock.late))
-        tried = (self._solved(run, program, v, 0.0) for v in own)
-        return until_most_agree(tried, len(guesses))
-
-    def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float) -> _Tried:
+    def _solved(self, run: Run, program: NonlinearProgram, local: Callable[[Array, Array], Local], v: Array,
+                price: float) -> _Tried:  # fmt: skip
         """Result from unknowns, with limits of states at a price.
 
         The price is in sizes of cost and rows; at 0 they are hard.
@@ -237,24 +243,32 @@ class LoopPlanner:
         upper[own], scale[own] = np.inf if price else 0.0, sized.row_scale[rows] / PRICE
         run.program = replace(sized, lower=lower, upper=upper, scale=scale)
         found = run.solved(np.clip(v, lower, upper), None, warm=False)
-        return _Tried(found, *self._worth(run.program, found.v))
+        at = local(*self._trajectory(found.v))
+        return _Tried(found, at.cost(), *at.passed)
 
-    def _worth(self, program: NonlinearProgram, v: Array) -> tuple[float, float]:
-        """Cost of unknowns, and the largest violation of a limit of states in sizes of its row."""
-        hard = np.concatenate([v[: self.loop.violations], np.zeros(len(v) - self.loop.violations)])
-        cost, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(hard))
-        over = np.maximum(g - program.row_upper, program.row_lower - g) / program.row_scale
-        return float(cost[0]), float(over[self.loop.may_give].max(initial=0.0))
+    def _trajectory(self, v: Array) -> tuple[Array, Array]:
+        """States (N + 1, nx) and inputs (N, nu) of unknowns."""
+        nodes, own, _, _ = self.loop.program.parts[0].unknowns(v)
+        return finite(nodes[: self.loop.phase.states].T.copy()), own.T.copy()
+
+    def _aside(self, inputs: Array) -> Array:
+        """Inputs (N, nu) that break symmetries, the same every time."""
+        moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, inputs.shape)
+        return np.clip(inputs + moves * self._input_sizes, *self.loop.phase.u_bounds)
+
+    @property
+    def _input_sizes(self) -> Array:
+        """Sizes (nu,) of inputs."""
+        part = self.loop.program.parts[0]
+        return np.asarray(self.loop.program.scale[part.first + part.layout.nx :][: self.loop.phase.inputs])
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
         """States and inputs of the starts: the phase's guess, else the state held; straight to its end; by chance."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
-        part = self.loop.program.parts[0]
-        size = self.loop.program.scale[part.first + part.layout.nx :][: phase.inputs]
+        size = self._input_sizes
         box = np.maximum(phase.u_bounds[0], -size), np.minimum(phase.u_bounds[1], size)
-        aside = np.clip(inputs[:-1] + rng.uniform(-ASIDE, ASIDE, (N, phase.inputs)) * size, *phase.u_bounds)
-        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), aside
+        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs[:-1])
         return islice(beginnings(first, x, states[-1], lambda u: self._led_to(x, u, given), rng, box), self.starts)
 
     def _led_to(self, x: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
@@ -285,8 +299,7 @@ class LoopPlanner:
 
     def _packed(self, best: _Tried, program: NonlinearProgram, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan of a result, or the best that was reached instead."""
-        nodes, own, _, _ = program.parts[0].unknowns(best.found.v)
-        states, inputs = finite(nodes[: len(x)].T.copy()), own.T.copy()
+        states, inputs = self._trajectory(best.found.v)
         found = Plan(inputs, states, best.cost, best.status, best.found.residuals, best.violation, 0.0, "Ipopt")
         if found.status is not Status.REPLACED:
             return found
@@ -298,8 +311,9 @@ class LoopPlanner:
             if self.loop.rate_limit is not None:
                 inputs = no_faster(inputs, given["u_prev"], self.loop.rate_limit, np.zeros(len(inputs), dtype=bool))
             states, _ = self._led_to(x, inputs, given)
-            cost, violation = self._worth(program, self._unknowns(program, states, inputs, given))
-            total = cost + PRICE * program.cost_scale * violation
+            at = self._local(x, given, finite(states), inputs)
+            cost, (violation, passed) = at.cost(), at.passed
+            total = cost + PRICE * program.cost_scale * passed
             simulated = replace(plan, inputs=inputs, states=finite(states), cost=cost, violation=violation)
             plans.append((total if np.isfinite(total) else np.inf, simulated))
         return min(plans, key=lambda one: one[0])[1]

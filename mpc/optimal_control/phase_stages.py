@@ -64,8 +64,9 @@ class PhaseStages:
 
     @cached_property
     def _give(self) -> Flags:
-        """Rows (m,) that may be relaxed: those of states after the first."""
-        N, own = self.loop.horizon, self.loop.of(self.part, "x")[self._path.of]
+        """Rows (m,) that may be passed: those of states after the first, and those that have a price."""
+        N, given = self.loop.horizon, np.isfinite(self.functions.path_prices[0])
+        own = (self.loop.of(self.part, "x") | given)[self._path.of]
         inputs, ends = np.zeros(N * len(self._bounds.of), dtype=bool), np.ones(len(self._end.of), dtype=bool)
         found = np.concatenate([inputs, np.tile(own, N + 1), ends])
         found[self._free] = False
@@ -123,17 +124,21 @@ class PhaseStages:
             return np.asarray((vectors * turned[:, None, :]) @ vectors.transpose(0, 2, 1) / sizes[:, None] / sizes)
 
         over, soft, given = np.maximum(-room, 0.0), np.isfinite(self._prices[:, 0]), self._give
-        prices = self._prices[given] * np.stack([rows.units, rows.units**2], axis=1)[given]
+        prices = self._prices[given] * np.stack([rows.amounts, rows.amounts**2], axis=1)[given]
         total = float(cost.sum() + last.sum() + (self._prices[soft] * np.stack([over, over**2], axis=1)[soft]).sum())
         # a violation that costs linearly is found by proximal steps from the present one
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
-        prices += np.stack([-2 * near * (over / rows.units)[given], near], axis=1)
+        prices += np.stack([-2 * near * (over / rows.amounts)[given], near], axis=1)
         return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
                      self.extent, lambda: total, prices)  # fmt: skip
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],
               sizes: Array) -> tuple[Rows, Array]:  # fmt: skip
-        """Rows at a plan, and their room (m,)."""
+        """Rows at a plan, and their room (m,).
+
+        A row is as large as it changes at its own step, so that a small obstacle on a long way is kept off as well; its
+        violation is counted in what it changes at most.
+        """
         N, nx, nu, r = self.loop.horizon, self.nx, self.nu, values[0].shape[1]
         (along, ends), (bounds, path, end) = by_inputs, (self._bounds, self._path, self._end)
         none = np.zeros((1, r, nu))
@@ -146,14 +151,16 @@ class PhaseStages:
         each: list[tuple[Array, ...]] = []
         for side, value, *parts in sides:
             whole = np.abs(np.concatenate(parts, axis=2)) @ np.concatenate([sizes, sizes[nx:]])
-            unit = whole.max(axis=0, initial=0.0)
-            unit = np.where(np.isfinite(unit) & (unit > 0), unit, 1.0)[side.of]
+            most = whole.max(axis=0, initial=0.0)
+            most = np.where(np.isfinite(most) & (most > 0), most, 1.0)
+            own = np.where(np.isfinite(whole), np.maximum(whole, NEGLIGIBLE * most), most)
             signed = [(part[:, side.of] * side.sign[:, None]).reshape(-1, part.shape[2]) for part in parts]
-            each.append((*signed, np.tile(unit, len(value)), (side.bound - side.sign * value[:, side.of]).ravel()))
-        by_state, by_input, by_before, units, room = (np.concatenate(part) for part in zip(*each))
+            sizes_of = own[:, side.of].ravel(), np.tile(most[side.of], len(value))
+            each.append((*signed, *sizes_of, (side.bound - side.sign * value[:, side.of]).ravel()))
+        by_state, by_input, by_before, units, amounts, room = (np.concatenate(part) for part in zip(*each))
         room[self._free] = np.inf
         return replace(self.rows, by_state=by_state, by_input=by_input, by_before=by_before, units=units,
-                       amounts=units), room  # fmt: skip
+                       amounts=amounts), room  # fmt: skip
 
     def _on_values(self, pushes: Array) -> tuple[Array, Array]:
         """Multipliers (N + 1, r) of path values, and those of the end."""

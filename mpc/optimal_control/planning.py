@@ -11,6 +11,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.plan import Plan, Status
+from mpc.rollout import Given
 from mpc.tolerances import COST_ROUNDING
 
 SHIFTED = "shifted plan"
@@ -53,6 +54,15 @@ def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:
     pushes = None if plan.pushes is None else plan.pushes[later]
     inputs, states = np.vstack([plan.inputs[1:], u]), np.vstack([plan.states[1:], after])
     return replace(plan, inputs=inputs, states=states, costates=costates, pushes=pushes)
+
+
+def told_of_inputs(plan: Plan, bounds: tuple[Array, Array], rate_limit: Array | None, given: Given) -> Plan:
+    """Plan, INFEASIBLE where no input within its bounds can be reached from the one before."""
+    if rate_limit is None or plan.status in (Status.SOLVED, Status.SOFTENED):
+        return plan
+    last, (low, high) = given["u_prev"], bounds
+    apart = (last + rate_limit < low) | (last - rate_limit > high)
+    return replace(plan, status=Status.INFEASIBLE) if apart.any() else plan
 
 
 def until_most_agree(tried: Iterable[Any], starts: int) -> Iterator[Any]:

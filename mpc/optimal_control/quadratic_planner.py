@@ -18,7 +18,7 @@ from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.paths import CONVERGING, REAL_TIME, Path, contracted, programs
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, until_most_agree
+from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
 from mpc.optimal_control.sqp import TINY, carried
@@ -126,6 +126,8 @@ class QuadraticPlanner:
             if found.solver == REAL_TIME or found.status not in OPTIMA:
                 best = self._best(sample, found)
                 found = replace(best, status=Status.LATE) if found.status is Status.LATE else best
+        if self._limits is not None:
+            found = told_of_inputs(found, self._limits[:2], self.law.rate_limit, given)
         return clock.stamped(found)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:

@@ -1,0 +1,103 @@
+"""Plans of phases say what is so: limits of every size and price, saddles, inputs that cannot be kept, no numbers."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpc import Status
+from mpc.optimal_control import NonlinearMPC, Phase
+
+
+def braking(stop, edge, **bounds):
+    """Vehicle of 6 m/s that stops within `stop` metres; a disc of 1 m on the way."""
+    speed, dt = 6.0, 0.1
+    hardest = speed**2 / (2 * stop)
+    return Phase(
+        lambda x, u: ca.vertcat(x[0] + dt * x[1] + dt**2 / 2 * u, x[1] + dt * u), 2, 1, discrete=True, duration=40,
+        u_bounds=(-hardest, hardest), stage_cost=lambda x, u: (x[1] - speed) ** 2 + 0.01 * u**2,
+        path=lambda x: 1 - (x[0] - edge - 1) ** 2, **bounds,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lowest", [-np.inf, -1e4])
+def test_an_obstacle_that_cannot_be_kept_off_is_said_however_long_the_way(lowest):
+    controller = NonlinearMPC(braking(9.0, 8.98, x_bounds=([lowest, 0], [np.inf, np.inf])))
+    for _ in range(3):
+        controller(np.array([0.0, 6.0]))
+        (plan,) = controller.last_plans
+        over = float(np.max(1 - (plan.states[1:, 0] - 9.98) ** 2))
+        assert plan.status is Status.SOFTENED
+        assert plan.violation == pytest.approx(over, abs=1e-6)
+        assert over > 0.03
+    assert (
+        NonlinearMPC(braking(9.0, 9.02, x_bounds=([lowest, 0], [np.inf, np.inf]))).solve([0, 6]).status is Status.SOLVED
+    )
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3])
+def test_a_violation_is_told_in_the_unit_of_its_limit(unit):
+    phase = Phase(
+        lambda x, u: x + 0.1 * unit * u, 1, 1, discrete=True, duration=10, u_bounds=(-1, 1),
+        x_bounds=(-unit, unit), stage_cost=lambda x, u: (x / unit) ** 2 + u**2,
+    )  # fmt: skip
+    controller = NonlinearMPC(phase)
+    for _ in range(2):
+        controller(np.array([1.6 * unit]))
+        (plan,) = controller.last_plans
+        assert plan.status is Status.SOFTENED
+        assert plan.violation == pytest.approx(0.5 * unit, rel=1e-6)
+
+
+@pytest.mark.parametrize("limit", [lambda u: u - 0.1, lambda u, u_prev: u - u_prev - 0.1])
+def test_a_limit_of_inputs_alone_that_has_a_price_may_be_passed_in_every_sample(limit):
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sin(x[0]))), 2, 1, discrete=True, duration=15,
+        u_bounds=(-3, 3), stage_cost=lambda x, u: 10 * (x[0] - 2) ** 2 + 0.01 * u**2, path=limit, path_prices=(1, 0),
+    )  # fmt: skip
+    controller, x = NonlinearMPC(phase), np.array([0.0, 0.0])
+    given = {"u_prev": [0.0]} if limit.__code__.co_argcount == 2 else {}
+    for _ in range(3):
+        u = controller(x, **given)
+        (plan,), anew = controller.last_plans, controller.solve(x, **given)
+        assert plan.status is anew.status is Status.SOLVED
+        assert plan.cost == pytest.approx(anew.cost, rel=1e-6)
+        assert u[0] > 1
+        given = {"u_prev": u} if given else {}
+        x = np.array([x[0] + 0.1 * x[1], x[1] + 0.1 * (u[0] - np.sin(x[0]))])
+
+
+def test_a_plan_that_stands_at_a_maximum_when_the_reference_turns_is_left():
+    signal = np.full((31, 1), -1.0)
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - 5 * ca.sin(x[0]))), 2, 1, discrete=True,
+        duration=30, u_bounds=(-3, 3), signal=signal,
+        stage_cost=lambda x, u, w: 10 * (1 + w * ca.cos(x[0])) + 0.1 * x[1] ** 2 + 0.1 * u**2,
+    )  # fmt: skip
+    controller = NonlinearMPC(phase)
+    controller(np.zeros(2))
+    controller(np.zeros(2), w=-signal)
+    (plan,) = controller.last_plans
+    assert plan.status is Status.SOLVED
+    assert plan.cost < 500
+    assert plan.cost == pytest.approx(controller.solve(np.zeros(2), w=-signal).cost, rel=1e-5)
+
+
+def test_inputs_that_cannot_be_reached_from_the_one_before_are_infeasible():
+    phase = Phase(
+        lambda x, u: x + 0.01 * (u - x), 1, 1, discrete=True, duration=5, u_bounds=(280, 340),
+        stage_cost=lambda x: (x - 300) ** 2, guess=([0, 1], [[290], [290]], [[290], [290]]),
+    )  # fmt: skip
+    quadratic = NonlinearMPC(
+        lambda x, u: 0.9 * x + u + 0.1 * x**2, 1, 1, Q=1, R=1, horizon=5, U=(-1, 1), rate_limit=0.05
+    )
+    for controller, x, before in ((NonlinearMPC(phase, rate_limit=5.0), 290.0, 270.0), (quadratic, 0.1, 3.0)):
+        assert controller.solve([x], u_prev=[before]).status is Status.INFEASIBLE
+    assert NonlinearMPC(phase, rate_limit=5.0).solve([290.0], u_prev=[278.0]).status is Status.SOLVED
+
+
+def test_a_model_that_is_no_number_at_the_state_is_replaced():
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * u, ca.sqrt(x[0])), 2, 1, discrete=True, duration=5, u_bounds=(-1, 1),
+        stage_cost=lambda x, u: x[0] ** 2 + u**2,
+    )  # fmt: skip
+    assert NonlinearMPC(phase).solve([-1.0, 0.0]).status is Status.REPLACED
