@@ -139,7 +139,7 @@ class Local:
 
     @property
     def passed(self) -> tuple[float, float]:
-        """Largest violation of a hard limit, in its own unit and in sizes of its row."""
+        """Largest violation of a hard limit, absolute and relative."""
         over = np.where(self.hard, np.maximum(-self.room, 0.0), 0.0)
         own, relative = (np.nan_to_num(part, nan=np.inf).max(initial=0.0) for part in (over, over / self.rows.units))
         return float(own), float(relative)

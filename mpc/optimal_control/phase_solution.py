@@ -180,7 +180,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
 
 
 def _steps(part: PhasePart, x: Array, own: Array, p: Array, times: Array, scheme: MultipleShooting) -> Array:
-    """States (N, steps + 1, nx) of shooting from states (nx, N), of CVODES at places that limits are looked at."""
+    """States (N, steps + 1, nx) along the steps of shooting."""
     count = scheme.substeps if scheme.integrator == "rk4" else LIMIT_CHECKS
     one, none, h = replace(scheme, substeps=1), np.zeros((0, len(times) - 1)), np.diff(times) / count
     layout = layout_of(part.phase, part.layout.nw, one)

@@ -57,7 +57,7 @@ def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:
 
 
 def told_of_inputs(plan: Plan, bounds: tuple[Array, Array], rate_limit: Array | None, given: Given) -> Plan:
-    """Plan, INFEASIBLE where no input within its bounds can be reached from the one before."""
+    """Plan, INFEASIBLE where no input within bounds can be reached."""
     if rate_limit is None or plan.status in (Status.SOLVED, Status.SOFTENED):
         return plan
     last, (low, high) = given["u_prev"], bounds

@@ -207,7 +207,7 @@ class QuadraticPlanner:
         return programs(at, stated, sample.clock, dear=sample.dear)
 
     def _from_starts(self, sample: _Sample, known: bool) -> Iterator[Path]:
-        """Paths that Ipopt comes to from the starts, but for a known linear law; one where a plan leads to it."""
+        """Paths that Ipopt comes to from starts; one where a plan leads to it."""
         general = self._general(self.law.soft or (sample.dear, sample.dear))
         for path in self._starting_paths(sample, known):
             if sample.clock.up:
@@ -223,7 +223,7 @@ class QuadraticPlanner:
                 return
 
     def _starting_paths(self, sample: _Sample, known: bool) -> Iterator[Path]:
-        """Plan to follow; linear law, unless known; straight way to the reference; state held; inputs by chance.
+        """Plan to follow, law unless known, straight way, state held, inputs by chance.
 
         A law that leads far away, from where Ipopt takes long, comes after the others.
         """
@@ -277,7 +277,7 @@ class QuadraticPlanner:
         return replace(path, states=np.tile(path.states[0], (len(path.states), 1)), inputs=inputs)
 
     def _cost_to_stay(self, held: Path, given: Given) -> float:
-        """Cost of a state held, and of what the model drifts from there in each sample."""
+        """Cost of staying, and of the drift in each sample."""
         after, _, _ = self.model.linearised(held.states[:-1], held.inputs, disturbance(self.law, given), self.p)
         drift = finite(after) - held.states[1:]
         staying = np.sum(drift @ (self.law.Q + self.law.P) * drift)
