@@ -11,14 +11,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
-from scipy.sparse import block_array, csc_matrix, csr_matrix, diags_array, eye_array, vstack
+from scipy.sparse import block_array, csc_matrix, csr_matrix, eye_array, vstack
 from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.optimal_control.solution import Solution
-from mpc.tolerances import NAMED_SHARE, NEGLIGIBLE, TOLD, TOLD_APART
+from mpc.tolerances import NAMED_SHARE, NEGLIGIBLE, ROUNDED_SUM, TOLD, TOLD_APART
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +33,27 @@ class Information:
     slopes: Array  # (values, m): of the residuals, by unknowns in their units
 
     @cached_property
+    def found(self) -> Resolved:
+        """What the data tell."""
+        return resolved(self.slopes @ self.directions)
+
+    @property
+    def rank(self) -> int:
+        """Number of combinations of which the data tell anything."""
+        return self.found.parts.shape[1]
+
+    @property
     def modes(self) -> tuple[Array, Array]:
-        """Singular values (k,), falling, and their combinations (m, k)."""
-        _, found, V = np.linalg.svd(np.linalg.qr(self.slopes @ self.directions, mode="r"))
-        values = np.zeros(self.directions.shape[1])
-        values[: len(found)] = found[: len(values)]
-        return values, self.directions @ V.T
+        """Singular values (k,), falling, 0 where the data tell nothing, and their combinations (m, k)."""
+        nothing, parts = self.found.nothing, self.found.parts
+        modes, values, _ = np.linalg.svd(parts, full_matrices=False)
+        whole = np.hstack([modes[:, ::-1], nothing])
+        return np.concatenate([1 / values[::-1], np.zeros(nothing.shape[1])]), self.directions @ whole
 
     @property
     def told(self) -> NDArray[np.bool_]:
         """Combinations (k,) of which the data tell anything."""
-        values, _ = self.modes
-        return np.asarray(values > TOLD_APART * values.max(initial=0.0))
+        return np.arange(self.directions.shape[1]) < self.rank
 
     def named(self, deviation: float) -> tuple[dict[str, float], ...]:
         """Combinations left open by noise of a deviation: shares by name.
@@ -70,14 +79,39 @@ class Information:
 
         Variances are infinite and the rest NaN where nothing is told.
         """
-        values, modes = self.modes
-        told = self.told
-        parts = modes[:, told] / values[told] * deviation
+        parts = self.directions @ self.found.parts * deviation
         found = parts @ parts.T
-        lost = (np.abs(modes[:, ~told]) > NEGLIGIBLE).any(axis=1)
+        lost = (np.abs(self.directions @ self.found.of_nothing) > NEGLIGIBLE).any(axis=1)
         found[lost] = found[:, lost] = np.nan
         found[lost, lost] = np.inf
         return np.asarray(found * self.units * self.units[:, None])
+
+
+class Resolved(NamedTuple):
+    """Combinations that slopes (values, k) tell, and those of which they tell nothing."""
+
+    parts: Array  # (k, rank): a root of the covariance by unit noise, across the latter
+    nothing: Array  # (k, k − rank): orthonormal
+    of_nothing: Array  # (k, k − rank): orthonormal, by changes of the outputs alike
+
+
+def resolved(slopes: Array) -> Resolved:
+    """What slopes (values, k) tell, judged by changes of the outputs alike: no size of an unknown counts.
+
+    A column that is rounding beside the largest tells nothing.
+    """
+    root = np.linalg.qr(slopes, mode="r")
+    length = np.linalg.norm(root, axis=0)
+    some = length > ROUNDED_SUM * length.max(initial=0.0)
+    unit = np.where(some, length, 1.0)
+    _, found, V = np.linalg.svd(np.where(some, root / unit, 0.0))
+    values = np.zeros(len(unit))
+    values[: len(found)] = found
+    told = values > TOLD_APART * values.max(initial=0.0)
+    of_nothing = V[~told].T
+    nothing = np.linalg.qr(of_nothing / unit[:, None])[0]
+    parts = V[told].T / unit[:, None] / values[told]
+    return Resolved(parts - nothing @ (nothing.T @ parts), nothing, of_nothing)
 
 
 def information(solution: Solution, residual: ca.Function) -> Information:
@@ -105,8 +139,7 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     own_columns = [np.r_[first:last, : len(p)] for first, last in pairwise(ends)]  # of each first state and p
     roots = [np.asarray(np.linalg.qr(course.residuals, mode="r")) for course in courses]
     slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
-    # of the unknowns in units, by unit noise
-    spread = np.asarray(np.linalg.pinv(slopes, rcond=TOLD_APART), dtype=float)
+    spread = resolved(slopes).parts
     held = [_held(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread)]
     for part, course, at in zip(program.parts, courses, own_columns):
         if not part.layout.nu:
@@ -159,7 +192,8 @@ def _courses(solution: Solution, residual: ca.Function) -> list[_Course]:
         cut = part.first + part.layout.nx
         given, rest = np.r_[part.first : cut, p], np.arange(cut, part.last)
         inputs = part.first + np.flatnonzero(part.coordinates[0] >= part.layout.nx)
-        roots = diags_array(np.sqrt(price) * program.scale, format="csr")[inputs]
+        prices = np.sqrt(price[inputs]) * program.scale[inputs]
+        roots = csr_matrix((prices, inputs, np.arange(len(inputs) + 1)), (len(inputs), len(v)))
         priced, dynamics = vstack([_sampled(part, solution, residual), roots]).tocsc(), slope[part.defects].tocsc()
         K = block_array([
             [None, priced[:, rest].T, dynamics[:, rest].T],

@@ -62,7 +62,7 @@ class ParameterEstimate:
         Sum of squared residuals beside their noise and of the disturbance, by degrees of freedom: about 1 if the model
         and a given noise are right; without a given noise its estimated variance. NaN without degrees of freedom.
     degrees : int
-        Measured values less free unknowns.
+        Measured values less the combinations of unknowns that they tell.
     noise_known : bool
     singular_values : (k,) array
         Of the scaled information, falling: inverse standard deviations of combinations, in sizes of the unknowns and
@@ -143,7 +143,7 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
             *common, EstimationStatus.UNSOLVED, solution, lost, np.full(firsts.shape, np.nan), tuple(residuals),
             np.nan, 0, noise_known, np.zeros(0), (),
         )  # fmt: skip
-    degrees = sum(int(one.measured.sum()) for one in given) - known.directions.shape[1]
+    degrees = sum(int(one.measured.sum()) for one in given) - known.rank
     variance = 2 * solution.cost / degrees if degrees else np.nan
     deviation = 1.0 if noise_known else np.sqrt(variance)
     whole = known.covariance(deviation)
