@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import brief, frozen
+from ccdtools_ground.user_functions import stopped
 from mpc.checks import Array, Flags, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.tolerances import LEAST_INTERVAL
@@ -26,7 +26,7 @@ class Experiment:
         Rising [s]. The experiment begins at the first: with a row of NaN where nothing was measured there.
     outputs : (n, ny) array
         NaN where an output was not measured.
-    inputs : (n, nu) array, or function of times (k,) → (k, nu); optional
+    inputs : (n, nu) array, or function of times (k,) → (k, nu), or (k,) of one input; optional
         A row of a table is held from its time to the next; an output sees what was held until then.
     start : (nx,) array, or bounds (lower, upper) as a tuple; optional
         Of the states at the first time; None or NaN where one is free, and estimated.
@@ -80,19 +80,33 @@ class Experiment:
         """Time from the first to the last row [s]."""
         return float(self.times[-1] - self.times[0])
 
+    @property
+    def inputs_seen(self) -> Array:
+        """Inputs (n, nu) that the outputs see."""
+        return np.zeros((len(self.times), 0)) if self.signal is None else np.asarray(self.signal(self.times))
+
     @cached_property
-    def signal(self) -> Callable[[Array], ArrayLike] | None:
+    def signal(self) -> Callable[[Array], Array] | None:
         """Inputs as a function of time, a table's until its next row."""
-        if self.inputs is None or callable(self.inputs):
-            return self.inputs  # type: ignore[no-any-return]
-        times, table = self.times, self.inputs
+        if self.inputs is None:
+            return None
+        times, table, stated = self.times, self.inputs, self.inputs
 
         def held(at: Array) -> Array:
             """Inputs (k, nu) at times (k,)."""
             rows = np.searchsorted(times, at - LEAST_INTERVAL * self.duration) - 1
             return np.asarray(table[np.clip(rows, 0, len(table) - 1)])
 
-        return held
+        def checked(at: Array) -> Array:
+            """Inputs (k, nu) at times (k,), by a user's function."""
+            try:
+                values = stated(at)
+            except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
+                raise stopped("inputs", stated, error, "a function of times (k,)") from error
+            values = as_floats("inputs", values)
+            return as_array("inputs", values[:, None] if values.shape == at.shape else values, (len(at), "nu"))
+
+        return checked if callable(stated) else held
 
 
 def as_experiments(value: Any) -> tuple[Experiment, ...]:
@@ -100,9 +114,8 @@ def as_experiments(value: Any) -> tuple[Experiment, ...]:
     given = (value,) if isinstance(value, Experiment) else value
     if not isinstance(given, list | tuple) or not given or not all(isinstance(one, Experiment) for one in given):
         raise InputError("experiments", brief(repr(value)), "an Experiment, or a list of them")
-    for what in ("outputs", "inputs"):
-        kept = [getattr(one, what) for one in given]
-        sizes = {0 if one is None else np.shape(one)[1] for one in kept if not callable(one)}
+    for what, kept in (("outputs", [one.outputs for one in given]), ("inputs", [one.inputs_seen for one in given])):
+        sizes = {table.shape[1] for table in kept}
         if len(sizes) > 1:
             raise InputError("experiments", f"{sorted(sizes)} {what}", f"as many {what} in each")
     return tuple(given)

@@ -40,7 +40,7 @@ class Information:
     @property
     def rank(self) -> int:
         """Number of combinations of which the data tell anything."""
-        return self.found.parts.shape[1]
+        return int(self.found.parts.shape[1])
 
     @property
     def modes(self) -> tuple[Array, Array]:
@@ -114,8 +114,8 @@ def resolved(slopes: Array) -> Resolved:
     return Resolved(parts - nothing @ (nothing.T @ parts), nothing, of_nothing)
 
 
-def information(solution: Solution, residual: ca.Function) -> Information:
-    """Information at the optimum, by the linearised dynamics.
+def information(solution: Solution, residual: ca.Function, p_size: Array) -> Information:
+    """Information at the optimum, by the linearised dynamics; parameters that are 0 are of a size that is given.
 
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
     the unknowns themselves count. Time and memory grow in proportion to the mesh.
@@ -131,7 +131,7 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     unknowns = np.concatenate([p, *firsts])
     sizes, free = program.scale[unknowns], program.lower[unknowns] < program.upper[unknowns]
     units: Array = sizes.copy()
-    own = np.abs(np.maximum(np.abs(v[p]), np.abs(np.asarray(program.problem.p_guess))))
+    own = np.maximum(np.abs(v[p]), np.abs(p_size))
     units[: len(p)] = np.where(own > 0, own, units[: len(p)])
     in_units: Array = np.where(free, units / sizes, 0.0)
     courses = _courses(solution, residual)

@@ -33,8 +33,8 @@ class EstimationStatus(Outcome):
         "points. Allow more rounds or time."
     )
     UNSOLVED = (
-        "No optimum was found: the values are those of the last iterate. Give a nearer p_guess, bounds, or an "
-        "Experiment(guess=…)."
+        "No optimum was found: the values are those of the last iterate, or of a saddle. Give a nearer p_guess, "
+        "bounds, or an Experiment(guess=…)."
     )
 
 

@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import as_weight
-from mpc.budgets import GUESSED_STEPS
-from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.budgets import ASIDE, GUESSED_STEPS, LEAST_SECONDS
+from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
+from mpc.optimal_control.estimation.curvature import beside, downhill
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
-from mpc.optimal_control.estimation.information import information
+from mpc.optimal_control.estimation.information import Information, information
 from mpc.optimal_control.estimation.parameter_estimate import EstimationStatus, ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
+from mpc.optimal_control.solution import Solution
 from mpc.tolerances import NEGLIGIBLE, SUPPOSED_NOISE
 
 
@@ -81,8 +83,7 @@ def estimate_parameters(
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
     one = given[0]
-    nu = 0 if one.signal is None else np.atleast_2d(np.asarray(one.signal(one.times[:1]))).shape[1]
-    ny = one.outputs.shape[1]
+    nu, ny = one.inputs_seen.shape[1], one.outputs.shape[1]
     if disturbance is not None and noise is None:
         raise InputError("noise", "nothing", "the noise of the outputs, which a disturbance is weighed against")
     density = np.zeros((0, 0)) if disturbance is None else as_covariance("disturbance", disturbance, None)
@@ -93,21 +94,24 @@ def estimate_parameters(
     y = type(s["x"]).sym("y", ny * (1 + ny))  # rows of `whitened`
     value = ca.densify(ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny]))
     residual = ca.Function("residual", [*s.values(), y], [value], ["x", "w", "p", "t", "y"], ["value"])
-    guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
+    low, high = bounds
+    size = np.clip(np.nan_to_num(middle(low, high)) if p_guess is None else as_array("p_guess", p_guess, low.shape),
+                   low, high)  # fmt: skip
+    aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, len(low)) * np.where(np.isfinite(high - low), high - low, 0)
+    guess = size + aside if p_guess is None else size
 
     def fitted(covariance: Array, unit: float | None, **options: Any) -> ParameterEstimate:
         """Estimate at a covariance of the noise."""
         phases = [
-            _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
+            _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), guess), covariance,
                    as_names("state_names", state_names, "x", states))
             for one in given
         ]  # fmt: skip
         problem = OptimalControlProblem(
-            phases, p_bounds=bounds, p_guess=p_guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
+            phases, p_bounds=bounds, p_guess=guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
         )
         _check_count(problem, given, 0 if unit is None else 1)
-        solution = refine(problem, **({"intervals": 1} | options))
-        known = information(solution, residual) if solution.solved_on_mesh else None
+        solution, known = minimum(problem, residual, size, options)
         return estimate_of(solution, given, h, known, unit)
 
     if noise is not None:
@@ -120,6 +124,36 @@ def estimate_parameters(
         return found
     again = fitted(left * np.eye(ny), float(np.sqrt(left)), **options | {"time_limit": None if limit is None else rest})
     return again if again.solved else found
+
+
+def minimum(
+    problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any]
+) -> tuple[Solution, Information | None]:
+    """Solution that no direction leads down from, with what its data tell; None where none was found."""
+    began, limit = time.perf_counter(), as_seconds("time_limit", options.get("time_limit"))
+    found: list[Solution] = []
+    begun = problem
+    for _ in range(2):
+        left = max(limit - (time.perf_counter() - began), LEAST_SECONDS) if np.isfinite(limit) else None
+        found.append(_refined(begun, options | {"time_limit": left}))
+        best = min(found, key=lambda one: (not one.solved_on_mesh, one.cost))
+        known = information(best, residual, p_size) if best.solved_on_mesh else None
+        move = None if known is None else downhill(best, known)
+        if move is None:
+            return best, known
+        begun = beside(problem, best, move)
+    return best, None
+
+
+def _refined(problem: OptimalControlProblem, options: dict[str, Any]) -> Solution:
+    """Solution on a mesh that is refined."""
+    try:
+        return refine(problem, **({"intervals": 1} | options))
+    except InputError as error:
+        if error.argument != "guess":
+            raise
+        cure = "Give a `p_guess` with which the functions are finite, or states, as Experiment(guess=…)."
+        raise InputError("p_guess", error.got, error.expected, cure) from error
 
 
 def _spread(given: Sequence[Experiment]) -> float:
@@ -164,9 +198,8 @@ def _phase(one: Experiment, f: ca.Function, residual: ca.Function, density: Arra
     rate = ca.Function("dynamics", [s["x"], unit, s["u"], s["p"], s["t"]], [rates], [*"xuwpt"], ["value"])
     cost = ca.Function("cost", list(r.values()), [ca.sumsqr(residual(*r.values())) / 2], list(r), ["value"])
     times, samples = one.times, whitened(one.outputs, covariance)
-    x_bounds, p_bounds, p_guess = limits
+    x_bounds, p = limits
     start = as_end("start", one.start, x_bounds)
-    p = np.clip(p_guess, *p_bounds) if p_guess.any() else np.clip(np.nan_to_num(middle(*p_bounds)), *p_bounds)
     if one.guess is not None and one.guess.shape[1] != len(names):
         raise InputError("guess", f"shape {one.guess.shape}", f"({len(times)}, {len(names)})")
     x = _states_seen(one, residual, samples, p, start, x_bounds) if one.guess is None else one.guess
@@ -186,7 +219,7 @@ def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Arra
     value = residual(*s.values())
     both = ca.Function("both", list(s.values()), [value, ca.vec(ca.jacobian(value, s["x"]))])
     times, near = one.times, np.nan_to_num(middle(*start))
-    w = np.zeros((len(times), 0)) if one.signal is None else np.asarray(one.signal(times))
+    w = one.inputs_seen
     x = np.tile(np.clip(near, *bounds), (len(times), 1))
     for _ in range(GUESSED_STEPS):
         r, H = (np.asarray(part, dtype=float).T for part in both(x.T, w.T, p, times[None], samples.T))
