@@ -149,6 +149,8 @@ LEAST_CURVATURE = 1e-3  # Least curvature of an unknown, beside the largest [-]
 TOLD_APART = 1e-8
 # Standard deviation of a combination, in sizes of the parameters, above which the data leave it open [-]
 TOLD = 1.0
+# Part of a standard deviation by which parameters move for slopes of their likelihood, and to which it is largest [-]
+SETTLED_ESTIMATE = 0.01
 NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a parameter is not named [-]
 SUPPOSED_NOISE = 0.01  # Deviation of unknown noise, beside that of the outputs, before it is estimated [-]
 

@@ -28,12 +28,11 @@ def lagrangian(solution: Solution) -> tuple[csc_matrix, csc_matrix]:
 
 
 def tangents(solution: Solution, known: Information, W: csc_matrix, A: csc_matrix) -> Array:
-    """Moves (n, k) of all unknowns, in their sizes, by those that are free: what follows does so to least cost."""
+    """Moves (n, k) of all unknowns, in their sizes, by the directions that are free: the rest follows to least cost."""
     program = solution.program
     rest = np.concatenate([np.arange(part.first + part.layout.nx, part.last) for part in program.parts])
     Z = np.zeros((len(program.lower), known.directions.shape[1]))
-    own = known.directions * (known.units / program.scale[known.places])[:, None]
-    Z[known.places] = own / np.abs(own).max(axis=0, initial=0.0)
+    Z[known.places] = known.directions * (known.units / program.scale[known.places])[:, None]
     K = block_array([[W[rest][:, rest], A[:, rest].T], [A[:, rest], None]], format="csc")
     Z[rest] = splu(K).solve(-np.vstack([W[rest] @ Z, A @ Z]))[: len(rest)]
     return Z
@@ -47,6 +46,7 @@ def downhill(solution: Solution, known: Information) -> Array | None:
     """
     W, A = lagrangian(solution)
     Z = tangents(solution, known, W, A)
+    Z /= np.abs(Z[known.places]).max(axis=0, initial=0.0)
     terms = (np.abs(Z).T @ abs(W) @ np.abs(Z)).sum(axis=1) + abs(solution.cost)
     unit = np.sqrt(np.where(terms > 0, terms, 1.0))
     values, ways = np.linalg.eigh(Z.T @ (W @ Z) / unit / unit[:, None])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -134,7 +135,7 @@ def information(solution: Solution, residual: ca.Function, p_size: Array) -> Inf
     own = np.maximum(np.abs(v[p]), np.abs(p_size))
     units[: len(p)] = np.where(own > 0, own, units[: len(p)])
     in_units: Array = np.where(free, units / sizes, 0.0)
-    courses = _courses(solution, residual)
+    courses = _courses(program, v, residual)
     ends = np.cumsum([len(p), *map(len, firsts)])
     own_columns = [np.r_[first:last, : len(p)] for first, last in pairwise(ends)]  # of each first state and p
     roots = [np.asarray(np.linalg.qr(course.residuals, mode="r")) for course in courses]
@@ -177,50 +178,59 @@ class _Course(NamedTuple):
     residuals: Array  # (k, nx + np): of whitened residuals, and of the inputs by roots of their price
 
 
-def _courses(solution: Solution, residual: ca.Function) -> list[_Course]:
-    """Linearised experiments: inputs, which are disturbances, follow by least squares.
+def linearised(program: NonlinearProgram, v: Array, residual: ca.Function) -> Iterator[tuple[PhasePart, Any, Any]]:
+    """Experiments with sparse slopes of what is priced (k, n) and of the dynamics (m, n) by all unknowns, in sizes.
 
-    Its conditions are those of the augmented system (Björck, *Numerical Methods for Least Squares Problems*, SIAM 1996,
-    section 1.4.2), sparse and with no product of slopes.
+    Priced are whitened residuals, then inputs, which are disturbances.
     """
-    program, v = solution.program, solution.unknowns
     slope = csr_matrix(program.derivatives.jacobian[1](v)[1].sparse())
     slope = slope.multiply(program.scale).multiply(1 / program.row_scale[:, None]).tocsr()
     price = program.derivatives.hessian(v, 1.0, np.zeros(len(program.row_lower))).sparse().diagonal()
-    p, found = np.arange(program.parameters.start, program.parameters.stop), []
     for part in program.parts:
-        cut = part.first + part.layout.nx
-        given, rest = np.r_[part.first : cut, p], np.arange(cut, part.last)
         inputs = part.first + np.flatnonzero(part.coordinates[0] >= part.layout.nx)
         prices = np.sqrt(price[inputs]) * program.scale[inputs]
         roots = csr_matrix((prices, inputs, np.arange(len(inputs) + 1)), (len(inputs), len(v)))
-        priced, dynamics = vstack([_sampled(part, solution, residual), roots]).tocsc(), slope[part.defects].tocsc()
-        K = block_array([
-            [None, priced[:, rest].T, dynamics[:, rest].T],
-            [priced[:, rest], -eye_array(priced.shape[0]), None],
-            [dynamics[:, rest], None, None],
-        ], format="csc")  # fmt: skip
+        yield part, vstack([_sampled(part, program, v, residual), roots]).tocsc(), slope[part.defects].tocsc()
+
+
+def augmented(priced: Any, dynamics: Any) -> Any:
+    """Matrix of the conditions of least squares, sparse and with no product of slopes.
+
+    Björck, *Numerical Methods for Least Squares Problems*, SIAM 1996, section 1.4.2.
+    """
+    return block_array(
+        [[None, priced.T, dynamics.T], [priced, -eye_array(priced.shape[0]), None], [dynamics, None, None]],
+        format="csc",
+    )
+
+
+def _courses(program: NonlinearProgram, v: Array, residual: ca.Function) -> list[_Course]:
+    """Linearised experiments, whose disturbances follow by least squares."""
+    p, found = np.arange(program.parameters.start, program.parameters.stop), []
+    for part, priced, dynamics in linearised(program, v, residual):
+        cut = part.first + part.layout.nx
+        given, rest = np.r_[part.first : cut, p], np.arange(cut, part.last)
         right = vstack([csc_matrix((len(rest), len(given))), priced[:, given], dynamics[:, given]]).toarray()
-        moves, residuals, _ = np.split(splu(K).solve(-right), [len(rest), len(rest) + priced.shape[0]])
+        solved = splu(augmented(priced[:, rest], dynamics[:, rest])).solve(-right)
+        moves, residuals, _ = np.split(solved, [len(rest), len(rest) + priced.shape[0]])
         found.append(_Course(rest, moves, residuals))
     return found
 
 
-def _sampled(part: PhasePart, solution: Solution, residual: ca.Function) -> Any:
+def _sampled(part: PhasePart, program: NonlinearProgram, v: Array, residual: ca.Function) -> Any:
     """Sparse changes (k, n) of the whitened residuals by all unknowns, in their sizes."""
-    s = symbols_of(residual)
+    s, p = symbols_of(residual), program.parameters
     value = residual(*s.values())
     slopes = ca.Function("slopes", list(s.values()), [ca.vec(ca.jacobian(value, ca.vertcat(s["x"], s["p"])))])
     times, y, w, places = part.samples
     t = part.phase.start_time + times[None]
-    H = np.asarray(slopes(solution.unknowns[places].T, w.T, solution.p, t, y.T), dtype=float).T
+    H = np.asarray(slopes(v[places].T, w.T, v[p], t, y.T), dtype=float).T
     H = H.reshape(len(places), -1, value.numel()).transpose(0, 2, 1)
-    scale, p = solution.program.scale, solution.program.parameters
     columns = np.hstack([places, np.tile(np.arange(p.start, p.stop), (len(places), 1))])
-    entries, width = H * scale[columns][:, None], columns.shape[1]
+    entries, width = H * program.scale[columns][:, None], columns.shape[1]
     every = columns.repeat(value.numel(), axis=0).ravel()
     ends = width * np.arange(len(places) * value.numel() + 1)
-    return csr_matrix((entries.ravel(), every, ends), (len(ends) - 1, len(scale)))
+    return csr_matrix((entries.ravel(), every, ends), (len(ends) - 1, len(v)))
 
 
 def _names(program: NonlinearProgram, unknowns: NDArray[np.int64], firsts: list[NDArray[np.int64]]) -> tuple[str, ...]:

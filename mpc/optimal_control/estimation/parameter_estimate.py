@@ -144,7 +144,9 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
             np.nan, 0, noise_known, np.zeros(0), (),
         )  # fmt: skip
     degrees = sum(int(one.measured.sum()) for one in given) - known.rank
-    variance = 2 * solution.cost / degrees if degrees else np.nan
+    of_spread = program.problem.of_parameters[0]
+    cost = solution.cost - (0.0 if of_spread is None else float(of_spread(solution.p)))
+    variance = 2 * cost / degrees if degrees else np.nan
     deviation = 1.0 if noise_known else np.sqrt(variance)
     whole = known.covariance(deviation)
     places = {int(place): i for i, place in enumerate(known.places)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -18,13 +19,14 @@ from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names,
 from mpc.optimal_control.estimation.curvature import beside, downhill
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
 from mpc.optimal_control.estimation.information import Information, information
+from mpc.optimal_control.estimation.marginal import observed, spread_of
 from mpc.optimal_control.estimation.parameter_estimate import EstimationStatus, ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
 from mpc.optimal_control.solution import Solution
-from mpc.tolerances import NEGLIGIBLE, SUPPOSED_NOISE
+from mpc.tolerances import NEGLIGIBLE, SETTLED_ESTIMATE, SUPPOSED_NOISE
 
 
 def estimate_parameters(
@@ -111,7 +113,7 @@ def estimate_parameters(
             phases, p_bounds=bounds, p_guess=guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
         )
         _check_count(problem, given, 0 if unit is None else 1)
-        solution, known = minimum(problem, residual, size, options)
+        solution, known = most_likely(problem, residual, size, options)
         return estimate_of(solution, given, h, known, unit)
 
     if noise is not None:
@@ -126,23 +128,48 @@ def estimate_parameters(
     return again if again.solved else found
 
 
+def most_likely(
+    problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any]
+) -> tuple[Solution, Information | None]:
+    """Most likely solution, with what its data tell; None where it was not found.
+
+    Beside a disturbance it is that of the parameters alone, by Newton's method: its slopes enter as a cost of p.
+    """
+    began, limit = time.perf_counter(), as_seconds("time_limit", options.get("time_limit"))
+
+    def found(problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
+        """Minimum in the time left."""
+        left = max(limit - (time.perf_counter() - began), LEAST_SECONDS) if np.isfinite(limit) else None
+        return minimum(problem, residual, p_size, options | own | {"time_limit": left})
+
+    (solution, known), spread = found(problem), None
+    if not problem.phases[0].inputs:
+        return solution, known
+    for _ in range(GUESSED_STEPS):
+        if known is None:
+            break
+        spread = spread_of(solution, known, residual, spread)
+        solution, known = found(replace(problem, p_cost=spread), start=solution)
+        if known is not None and spread.moved(solution.p) < SETTLED_ESTIMATE:
+            return solution, observed(solution, known)
+    return solution, None
+
+
 def minimum(
     problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any]
 ) -> tuple[Solution, Information | None]:
     """Solution that no direction leads down from, with what its data tell; None where none was found."""
-    began, limit = time.perf_counter(), as_seconds("time_limit", options.get("time_limit"))
-    found: list[Solution] = []
-    begun = problem
-    for _ in range(2):
-        left = max(limit - (time.perf_counter() - began), LEAST_SECONDS) if np.isfinite(limit) else None
-        found.append(_refined(begun, options | {"time_limit": left}))
-        best = min(found, key=lambda one: (not one.solved_on_mesh, one.cost))
-        known = information(best, residual, p_size) if best.solved_on_mesh else None
-        move = None if known is None else downhill(best, known)
+    solution = _refined(problem, options)
+    for left in (1, 0):
+        known = information(solution, residual, p_size) if solution.solved_on_mesh else None
+        move = None if known is None else downhill(solution, known)
         if move is None:
-            return best, known
-        begun = beside(problem, best, move)
-    return best, None
+            return solution, known
+        if left:
+            anew = {name: value for name, value in options.items() if name != "start"}
+            other = _refined(beside(problem, solution, move), anew)
+            solution = min(solution, other, key=lambda one: (not one.solved_on_mesh, one.cost))
+    return solution, None
 
 
 def _refined(problem: OptimalControlProblem, options: dict[str, Any]) -> Solution:
