@@ -26,11 +26,13 @@ class Spread:
     deviations: Array  # (k, np): p to deviations that are independent
     slope: Array  # (k,)
     curvature: Array  # (k, k)
+    held: Array  # (np − k, np): p to what the data do not tell, and so stays
 
     def __call__(self, p: Any) -> Any:
         """Its change from that at p."""
-        z = ca.mtimes(ca.DM(self.deviations), p - ca.DM(self.p))
-        return ca.dot(ca.DM(self.slope), z) + ca.dot(z, ca.mtimes(ca.DM(self.curvature), z)) / 2
+        z, away = (ca.mtimes(ca.DM(turned), p - ca.DM(self.p)) for turned in (self.deviations, self.held))
+        of_slope = ca.dot(ca.DM(self.slope), z) + ca.dot(z, ca.mtimes(ca.DM(self.curvature), z)) / 2
+        return of_slope + ca.sumsqr(away) / 2
 
     def moved(self, p: Array) -> float:
         """Distance of other parameters (np,), in deviations."""
@@ -41,14 +43,15 @@ def spread_of(solution: Solution, known: Information, residual: ca.Function, bef
     """Expansion at a solution, whose cost had that of `before` in it.
 
     Laplace's approximation of the likelihood of p, which is exact where the plant is linear and noise is normal, is the
-    joint one less this.
+    joint one less this. Bounds that act on p may be left by it.
     """
     program, p = solution.program, solution.program.parameters
-    moves = tangents(solution, known, *lagrangian(solution)) @ known.found.parts @ np.linalg.inv(_root(solution, known))
-    turned, size, ways = np.linalg.svd(moves[p], full_matrices=False)
-    some = size > ROUNDED_SUM * size.max(initial=0.0)
-    moves, step = (moves @ ways[some].T) * program.scale[:, None], SETTLED_ESTIMATE
-    k = moves.shape[1]
+    moves, root = _told(solution, replace(known, directions=np.eye(len(known.places))), before)
+    moves = moves @ np.linalg.inv(root)
+    turned, size, ways = np.linalg.svd(moves[p])
+    some = np.flatnonzero(size > ROUNDED_SUM * size.max(initial=0.0))
+    size, k, step = size[some], len(some), SETTLED_ESTIMATE
+    moves = (moves @ ways[some].T) * program.scale[:, None]
 
     def value(*at: int) -> float:
         """Half the log-determinant, a step along each of these directions; ~i is back along i."""
@@ -59,13 +62,13 @@ def spread_of(solution: Solution, known: Information, residual: ca.Function, bef
     curvature = np.diag(on - 2 * middle + back)
     for i, j in combinations(range(k), 2):
         curvature[i, j] = curvature[j, i] = value(i, j) - on[i] - on[j] + middle
-    to_deviations = (turned[:, some] / size[some]).T / program.scale[p]
     joint = np.eye(k)
     if before is not None:
         own = before.deviations @ moves[p]
         joint = joint - own.T @ before.curvature @ own
-    curvature = _kept_convex(curvature / step**2, joint)
-    return Spread(solution.p, to_deviations, (on - back) / (2 * step), curvature)
+    deviations, rest = turned[:, some].T / size[:, None], turned[:, len(some) :].T / (step * size.min(initial=1.0))
+    return Spread(solution.p, deviations / program.scale[p], (on - back) / (2 * step),
+                  _kept_convex(curvature / step**2, joint), rest / program.scale[p])  # fmt: skip
 
 
 def _kept_convex(curvature: Array, joint: Array) -> Array:
@@ -93,17 +96,24 @@ def _log_determinant(K: Any) -> float:
     return float(np.log(np.abs(splu(K.tocsc()).U.diagonal())).sum())
 
 
-def _root(solution: Solution, known: Information) -> Array:
-    """Root R (r, r) of the second derivatives R'R of the least cost by what is told, which are 1 if linearised."""
+def _told(solution: Solution, known: Information, spread: Spread | None) -> tuple[Array, Array]:
+    """Moves (n, r) of all unknowns by what is told, and a root (r, r) of second derivatives, which are 1 if linearised.
+
+    They are those of the cost, less what holds the rest.
+    """
     W, A = lagrangian(solution)
-    Z = tangents(solution, known, W, A) @ known.found.parts
+    moves, p = tangents(solution, known, W, A) @ known.found.parts, solution.program.parameters
+    H = moves.T @ (W @ moves)
+    if spread is not None:
+        held = (spread.held * solution.program.scale[p]) @ moves[p]
+        H = H - held.T @ held
     try:
-        return np.asarray(np.linalg.cholesky(Z.T @ (W @ Z)).T)
+        return moves, np.asarray(np.linalg.cholesky(H).T)
     except np.linalg.LinAlgError:
-        return np.eye(Z.shape[1])
+        return moves, np.eye(len(H))
 
 
-def observed(solution: Solution, known: Information) -> Information:
+def observed(solution: Solution, known: Information, spread: Spread) -> Information:
     """Information by second derivatives instead of slopes: residuals beside a disturbance do not vanish on average."""
-    slopes = _root(solution, known) @ np.linalg.pinv(known.found.parts) @ known.directions.T
+    slopes = _told(solution, known, spread)[1] @ np.linalg.pinv(known.found.parts) @ known.directions.T
     return replace(known, slopes=slopes)

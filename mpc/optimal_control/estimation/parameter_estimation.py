@@ -143,15 +143,15 @@ def most_likely(
         return minimum(problem, residual, p_size, options | own | {"time_limit": left})
 
     (solution, known), spread = found(problem), None
-    if not problem.phases[0].inputs:
+    if not (problem.phases[0].inputs and problem.parameters):
         return solution, known
     for _ in range(GUESSED_STEPS):
         if known is None:
             break
         spread = spread_of(solution, known, residual, spread)
-        solution, known = found(replace(problem, p_cost=spread), start=solution)
+        solution, known = found(replace(problem, p_cost=spread), start=solution, starts=1)
         if known is not None and spread.moved(solution.p) < SETTLED_ESTIMATE:
-            return solution, observed(solution, known)
+            return solution, observed(solution, known, spread)
     return solution, None
 
 
