@@ -50,10 +50,10 @@ class ParameterEstimate:
     status : EstimationStatus
     solution : Solution
         Trajectories, one phase an experiment, with the solver's own status; its cost is that of a supposed noise where
-        none was given.
+        none was given, and beside a disturbance has in it what the likelihood of p adds.
     covariance : (np, np) array
-        Of p, along the constraints that act, by the linearised residuals: 0 for what is held, infinite variances where
-        the data tell nothing; NaN if UNSOLVED.
+        Of p, along the constraints that act, by the linearised residuals, or the likelihood beside a disturbance: 0 for
+        what is held, infinite variances where the data tell nothing; NaN if UNSOLVED.
     start_deviations : (experiments, nx) array
         Standard deviations of the first states.
     residuals : tuple of (n, ny) arrays
@@ -108,7 +108,7 @@ class ParameterEstimate:
     def intervals(self, level: float = 0.95) -> Array:
         """Confidence intervals (np, 2) of the single parameters.
 
-        By the normal distribution, or Student's where the noise is estimated; of a linearisation.
+        By the normal distribution, or Student's where the noise is estimated; of the covariance.
         """
         tail = (1 + as_share("level", level)) / 2
         factor = norm.ppf(tail) if self.noise_known else t.ppf(tail, self.degrees)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -12,21 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import as_weight
-from mpc.budgets import ASIDE, GUESSED_STEPS, LEAST_SECONDS
-from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
+from mpc.budgets import ASIDE, GUESSED_STEPS
+from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
-from mpc.optimal_control.estimation.curvature import beside, downhill
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
-from mpc.optimal_control.estimation.information import Information, information
-from mpc.optimal_control.estimation.marginal import observed, spread_of
+from mpc.optimal_control.estimation.most_likely import most_likely
 from mpc.optimal_control.estimation.parameter_estimate import EstimationStatus, ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.refinement import refine
-from mpc.optimal_control.solution import Solution
-from mpc.tolerances import NEGLIGIBLE, SETTLED_ESTIMATE, SUPPOSED_NOISE
+from mpc.tolerances import NEGLIGIBLE, SUPPOSED_NOISE
 
 
 def estimate_parameters(
@@ -38,7 +33,8 @@ def estimate_parameters(
     """Most likely parameters and first states, from measurements.
 
     Of dx/dt = f(x, u, w, p, t), y = h(x, u, p, t) + noise.
-    Least squares by direct collocation, trajectories and parameters in one program, on a mesh that is refined.
+    Least squares by direct collocation, trajectories and parameters in one program, on a mesh that is refined. Beside a
+    disturbance parameters maximise the likelihood over all its courses, by Laplace's approximation.
 
     Parameters
     ----------
@@ -53,13 +49,14 @@ def estimate_parameters(
     p_bounds : (lower, upper)
         Each (np,), None or infinite where there is none.
     p_guess : (np,) array, optional
-        Where to start from, and the size of parameters that turn out to be 0; the middle of the bounds by default.
+        Where to start from, and the size of parameters that turn out to be 0; about the middle of bounds by default.
     noise : (ny, ny) or (ny,) array, optional
         Covariance of the noise of one row of outputs, or its variances. By default all outputs have the same variance,
         which is estimated: supposed to be a hundredth of their deviation, squared, all together, or what that leaves
         where a combination is open. Give the noise where outputs differ by more than thousands.
     disturbance : (nw, nw) or (nw,) array, optional
-        Spectral density of white noise w [its unit² s], whose most likely course is found with p: their joint maximum.
+        Spectral density of white noise w [its unit² s]. A first state that is free counts as unknown beside it, each
+        value as likely before.
     x_bounds : (lower, upper), optional
     p_names, state_names : sequence of str, optional
     **options
@@ -68,8 +65,8 @@ def estimate_parameters(
     Returns
     -------
     ParameterEstimate
-        Never SOLVED without the solver's own flag and the check of its optimum, nor where the data leave a combination
-        open.
+        Never SOLVED without the solver's own flag and the check of its optimum, by second derivatives, too, nor where
+        the data leave a combination open.
 
     Raises
     ------
@@ -79,7 +76,8 @@ def estimate_parameters(
     References
     ----------
     Bock, "Randwertproblemmethoden zur Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen",
-    Bonner Mathematische Schriften 183, 1987; Biegler, *Nonlinear Programming*, SIAM 2010, chapter 10.
+    Bonner Mathematische Schriften 183, 1987; Biegler, *Nonlinear Programming*, SIAM 2010, chapter 10; Kristensen et
+    al., "TMB: automatic differentiation and Laplace approximation", Journal of Statistical Software 70, 2016.
     """
     given = as_experiments(experiments)
     states = as_count("states", states)
@@ -126,61 +124,6 @@ def estimate_parameters(
         return found
     again = fitted(left * np.eye(ny), float(np.sqrt(left)), **options | {"time_limit": None if limit is None else rest})
     return again if again.solved else found
-
-
-def most_likely(
-    problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any]
-) -> tuple[Solution, Information | None]:
-    """Most likely solution, with what its data tell; None where it was not found.
-
-    Beside a disturbance it is that of the parameters alone, by Newton's method: its slopes enter as a cost of p.
-    """
-    began, limit = time.perf_counter(), as_seconds("time_limit", options.get("time_limit"))
-
-    def found(problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
-        """Minimum in the time left."""
-        left = max(limit - (time.perf_counter() - began), LEAST_SECONDS) if np.isfinite(limit) else None
-        return minimum(problem, residual, p_size, options | own | {"time_limit": left})
-
-    (solution, known), spread = found(problem), None
-    if not (problem.phases[0].inputs and problem.parameters):
-        return solution, known
-    for _ in range(GUESSED_STEPS):
-        if known is None:
-            break
-        spread = spread_of(solution, known, residual, spread)
-        solution, known = found(replace(problem, p_cost=spread), start=solution, starts=1)
-        if known is not None and spread.moved(solution.p) < SETTLED_ESTIMATE:
-            return solution, observed(solution, known, spread)
-    return solution, None
-
-
-def minimum(
-    problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any]
-) -> tuple[Solution, Information | None]:
-    """Solution that no direction leads down from, with what its data tell; None where none was found."""
-    solution = _refined(problem, options)
-    for left in (1, 0):
-        known = information(solution, residual, p_size) if solution.solved_on_mesh else None
-        move = None if known is None else downhill(solution, known)
-        if move is None:
-            return solution, known
-        if left:
-            anew = {name: value for name, value in options.items() if name != "start"}
-            other = _refined(beside(problem, solution, move), anew)
-            solution = min(solution, other, key=lambda one: (not one.solved_on_mesh, one.cost))
-    return solution, None
-
-
-def _refined(problem: OptimalControlProblem, options: dict[str, Any]) -> Solution:
-    """Solution on a mesh that is refined."""
-    try:
-        return refine(problem, **({"intervals": 1} | options))
-    except InputError as error:
-        if error.argument != "guess":
-            raise
-        cure = "Give a `p_guess` with which the functions are finite, or states, as Experiment(guess=…)."
-        raise InputError("p_guess", error.got, error.expected, cure) from error
 
 
 def _spread(given: Sequence[Experiment]) -> float:

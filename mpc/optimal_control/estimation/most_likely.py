@@ -1,0 +1,82 @@
+"""Most likely parameters and courses of experiments stated as one problem."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+
+from mpc.budgets import GUESSED_STEPS, LEAST_SECONDS
+from mpc.checks import Array, as_seconds
+from mpc.exceptions import InputError
+from mpc.optimal_control.estimation.curvature import beside, downhill
+from mpc.optimal_control.estimation.information import Information, information
+from mpc.optimal_control.estimation.marginal import Spread, observed, spread_of
+from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.refinement import refine
+from mpc.optimal_control.solution import Solution
+from mpc.tolerances import SETTLED_ESTIMATE
+
+
+def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array,
+                options: dict[str, Any]) -> tuple[Solution, Information | None]:  # fmt: skip
+    """Most likely solution, with what its data tell; None where it was not found.
+
+    Beside a disturbance that of the parameters alone, by Newton's method: slopes of what the joint likelihood lacks
+    enter as a cost of p.
+    """
+    solves = _Solves(residual, p_size, options)
+    solution, known = solves.minimum(problem)
+    if not (problem.phases[0].inputs and problem.parameters):
+        return solution, known
+    spread: Spread | None = None
+    for _ in range(GUESSED_STEPS):
+        if known is None:
+            break
+        spread = spread_of(solution, known, residual, spread)
+        solution, known = solves.minimum(replace(problem, p_cost=spread), start=solution, starts=1)
+        if known is not None and spread.moved(solution.p) < SETTLED_ESTIMATE:
+            return solution, observed(solution, known, spread)
+    return solution, None
+
+
+class _Solves:
+    """Solves within one time limit."""
+
+    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any]) -> None:
+        self.residual = residual
+        self.p_size = p_size
+        self.options = {"intervals": 1} | options
+        self.end = time.perf_counter() + as_seconds("time_limit", options.get("time_limit"))
+
+    def minimum(self, problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
+        """Solution that no direction leads down from, with what its data tell; None where none was found."""
+        solution = self._refined(problem, self.options | own)
+        known, move = self._looked_at(solution)
+        if move is None:
+            return solution, known
+        anew = {name: value for name, value in self.options.items() if name != "start"}
+        other = self._refined(beside(problem, solution, move), anew)
+        solution = min(solution, other, key=lambda one: (not one.solved_on_mesh, one.cost))
+        known, move = self._looked_at(solution)
+        return solution, known if move is None else None
+
+    def _looked_at(self, solution: Solution) -> tuple[Information | None, Array | None]:
+        """What the data tell of an optimum, and a move (n,) that leads down from it."""
+        if not solution.solved_on_mesh:
+            return None, None
+        known = information(solution, self.residual, self.p_size)
+        return known, downhill(solution, known)
+
+    def _refined(self, problem: OptimalControlProblem, options: dict[str, Any]) -> Solution:
+        """Solution on a mesh that is refined, in the time left."""
+        left = max(self.end - time.perf_counter(), LEAST_SECONDS)
+        try:
+            return refine(problem, **options | {"time_limit": left})
+        except InputError as error:
+            if error.argument != "guess":
+                raise
+            cure = "Give a `p_guess` with which the functions are finite, or states, as Experiment(guess=…)."
+            raise InputError("p_guess", error.got, error.expected, cure) from error
