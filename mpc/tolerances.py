@@ -80,7 +80,8 @@ FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs 
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]
 
 # ---- sensitivities ----
-# First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
+# First Newton step from a plan, in sizes of inputs and states, or from parameters, in their deviations, beyond which
+# these are no optimum; part of a deviation by which parameters are moved for slopes of their likelihood [-]
 NEAR_OPTIMUM = 1e-2
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
@@ -149,8 +150,6 @@ LEAST_CURVATURE = 1e-3  # Least curvature of an unknown, beside the largest [-]
 TOLD_APART = 1e-8
 # Standard deviation of a combination, in sizes of the parameters, above which the data leave it open [-]
 TOLD = 1.0
-# Part of a standard deviation by which parameters move for slopes of their likelihood, and to which it is largest [-]
-SETTLED_ESTIMATE = 0.01
 NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a parameter is not named [-]
 SUPPOSED_NOISE = 0.01  # Deviation of unknown noise, beside that of the outputs, before it is estimated [-]
 

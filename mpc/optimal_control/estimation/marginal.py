@@ -15,7 +15,7 @@ from mpc.optimal_control.estimation.curvature import lagrangian, tangents
 from mpc.optimal_control.estimation.information import Information, augmented, linearised
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution import Solution
-from mpc.tolerances import ROUNDED_SUM, SETTLED_ESTIMATE
+from mpc.tolerances import ROUNDED_SUM, NEAR_OPTIMUM
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def spread_of(solution: Solution, known: Information, residual: ca.Function, bef
     moves = moves @ np.linalg.inv(root)
     turned, size, ways = np.linalg.svd(moves[p])
     some = np.flatnonzero(size > ROUNDED_SUM * size.max(initial=0.0))
-    size, k, step = size[some], len(some), SETTLED_ESTIMATE
+    size, k, step = size[some], len(some), NEAR_OPTIMUM
     moves = (moves @ ways[some].T) * program.scale[:, None]
 
     def value(*at: int) -> float:

@@ -17,7 +17,7 @@ from mpc.optimal_control.estimation.marginal import Spread, observed, spread_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
 from mpc.optimal_control.solution import Solution
-from mpc.tolerances import SETTLED_ESTIMATE
+from mpc.tolerances import NEAR_OPTIMUM
 
 
 def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array,
@@ -37,7 +37,7 @@ def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: A
             break
         spread = spread_of(solution, known, residual, spread)
         solution, known = solves.minimum(replace(problem, p_cost=spread), start=solution, starts=1)
-        if known is not None and spread.moved(solution.p) < SETTLED_ESTIMATE:
+        if known is not None and spread.moved(solution.p) < NEAR_OPTIMUM:
             return solution, observed(solution, known, spread)
     return solution, None
 
