@@ -18,7 +18,7 @@ from mpc.tolerances import NEGLIGIBLE
 
 
 def lagrangian(solution: Solution) -> tuple[csc_matrix, csc_matrix]:
-    """Second derivatives (n, n) of the Lagrangian and slopes (m, n) of the rows, in sizes of unknowns and rows."""
+    """Lagrangian's Hessian (n, n) and slopes (m, n) of the rows, in sizes."""
     program, v = solution.program, solution.unknowns
     size = program.scale
     upper = program.derivatives.hessian(v, 1.0, solution.multipliers["rows"]).sparse()
@@ -28,7 +28,7 @@ def lagrangian(solution: Solution) -> tuple[csc_matrix, csc_matrix]:
 
 
 def tangents(solution: Solution, known: Information, W: csc_matrix, A: csc_matrix) -> Array:
-    """Moves (n, k) of all unknowns, in their sizes, by the directions that are free: the rest follows to least cost."""
+    """Moves (n, k) of all unknowns, in sizes, by directions that are free."""
     program = solution.program
     rest = np.concatenate([np.arange(part.first + part.layout.nx, part.last) for part in program.parts])
     Z = np.zeros((len(program.lower), known.directions.shape[1]))
@@ -39,7 +39,7 @@ def tangents(solution: Solution, known: Information, W: csc_matrix, A: csc_matri
 
 
 def downhill(solution: Solution, known: Information) -> Array | None:
-    """Move (n,) of all unknowns from a maximum or saddle, along which the cost falls; None at a minimum.
+    """Move (n,) from a maximum or saddle, None at a minimum.
 
     By second derivatives for the unknowns that are free. Falls that are rounding beside their terms and the cost are
     none.
@@ -59,7 +59,7 @@ def downhill(solution: Solution, known: Information) -> Array | None:
 
 
 def beside(problem: OptimalControlProblem, solution: Solution, move: Array) -> OptimalControlProblem:
-    """Problem that begins with a solution's parameters and with its own states, both moved."""
+    """Problem begun at moved parameters and states."""
     program, v, phases = solution.program, solution.unknowns, []
     for part, phase in zip(program.parts, problem.phases):
         times, x, u = phase.guess

@@ -45,7 +45,7 @@ class Information:
 
     @property
     def modes(self) -> tuple[Array, Array]:
-        """Singular values (k,), falling, 0 where the data tell nothing, and their combinations (m, k)."""
+        """Singular values (k,), falling, and their combinations (m, k)."""
         nothing, parts = self.found.nothing, self.found.parts
         modes, values, _ = np.linalg.svd(parts, full_matrices=False)
         whole = np.hstack([modes[:, ::-1], nothing])
@@ -89,7 +89,7 @@ class Information:
 
 
 class Resolved(NamedTuple):
-    """Combinations that slopes (values, k) tell, and those of which they tell nothing."""
+    """Combinations that slopes tell, and others."""
 
     parts: Array  # (k, rank): a root of the covariance by unit noise, across the latter
     nothing: Array  # (k, k − rank): orthonormal
@@ -97,7 +97,7 @@ class Resolved(NamedTuple):
 
 
 def resolved(slopes: Array) -> Resolved:
-    """What slopes (values, k) tell, judged by changes of the outputs alike: no size of an unknown counts.
+    """What slopes (values, k) tell, whatever the sizes of unknowns.
 
     A column that is rounding beside the largest tells nothing.
     """
@@ -116,7 +116,7 @@ def resolved(slopes: Array) -> Resolved:
 
 
 def information(solution: Solution, residual: ca.Function, p_size: Array) -> Information:
-    """Information at the optimum, by the linearised dynamics; parameters that are 0 are of a size that is given.
+    """Information at the optimum, by the linearised dynamics.
 
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
     the unknowns themselves count. Time and memory grow in proportion to the mesh.
@@ -179,7 +179,7 @@ class _Course(NamedTuple):
 
 
 def linearised(program: NonlinearProgram, v: Array, residual: ca.Function) -> Iterator[tuple[PhasePart, Any, Any]]:
-    """Experiments with sparse slopes of what is priced (k, n) and of the dynamics (m, n) by all unknowns, in sizes.
+    """Experiments with sparse slopes (k, n) of prices and (m, n) of dynamics.
 
     Priced are whitened residuals, then inputs, which are disturbances.
     """
@@ -194,7 +194,7 @@ def linearised(program: NonlinearProgram, v: Array, residual: ca.Function) -> It
 
 
 def augmented(priced: Any, dynamics: Any) -> Any:
-    """Matrix of the conditions of least squares, sparse and with no product of slopes.
+    """Matrix of the conditions of least squares, without products.
 
     Björck, *Numerical Methods for Least Squares Problems*, SIAM 1996, section 1.4.2.
     """

@@ -15,7 +15,7 @@ from mpc.optimal_control.estimation.curvature import lagrangian, tangents
 from mpc.optimal_control.estimation.information import Information, augmented, linearised
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.solution import Solution
-from mpc.tolerances import ROUNDED_SUM, NEAR_OPTIMUM
+from mpc.tolerances import NEAR_OPTIMUM, ROUNDED_SUM
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def spread_of(solution: Solution, known: Information, residual: ca.Function, bef
     moves = (moves @ ways[some].T) * program.scale[:, None]
 
     def value(*at: int) -> float:
-        """Half the log-determinant, a step along each of these directions; ~i is back along i."""
+        """Half the log-determinant, a step along each; ~i is back along i."""
         ahead = sum((moves[:, i] if i >= 0 else -moves[:, ~i] for i in at), np.zeros(len(moves)))
         return half_log_determinant(program, solution.unknowns + step * ahead, residual)
 
@@ -72,7 +72,7 @@ def spread_of(solution: Solution, known: Information, residual: ca.Function, bef
 
 
 def _kept_convex(curvature: Array, joint: Array) -> Array:
-    """Curvature (k, k), or the part of it that is not negative where its sum with the joint one is not positive."""
+    """Curvature (k, k), its negative part left out where the sum is not convex."""
     if np.linalg.eigvalsh(curvature + joint).min(initial=1.0) > 0:
         return curvature
     values, ways = np.linalg.eigh(curvature)
@@ -80,7 +80,7 @@ def _kept_convex(curvature: Array, joint: Array) -> Array:
 
 
 def half_log_determinant(program: NonlinearProgram, v: Array, residual: ca.Function) -> float:
-    """Half the log-determinant of the information of disturbances and first states at unknowns (n,), but a constant."""
+    """Half the log-determinant of a course's information, but a constant."""
     found = 0.0
     for part, priced, dynamics in linearised(program, v, residual):
         own = np.arange(part.first, part.last)
@@ -97,9 +97,9 @@ def _log_determinant(K: Any) -> float:
 
 
 def _told(solution: Solution, known: Information, spread: Spread | None) -> tuple[Array, Array]:
-    """Moves (n, r) of all unknowns by what is told, and a root (r, r) of second derivatives, which are 1 if linearised.
+    """Moves (n, r) by what is told, and a root (r, r) of second derivatives.
 
-    They are those of the cost, less what holds the rest.
+    These are 1 if linearised: of the cost, less what holds the rest.
     """
     W, A = lagrangian(solution)
     moves, p = tangents(solution, known, W, A) @ known.found.parts, solution.program.parameters
@@ -114,6 +114,6 @@ def _told(solution: Solution, known: Information, spread: Spread | None) -> tupl
 
 
 def observed(solution: Solution, known: Information, spread: Spread) -> Information:
-    """Information by second derivatives instead of slopes: residuals beside a disturbance do not vanish on average."""
+    """Information by second derivatives in place of slopes."""
     slopes = _told(solution, known, spread)[1] @ np.linalg.pinv(known.found.parts) @ known.directions.T
     return replace(known, slopes=slopes)

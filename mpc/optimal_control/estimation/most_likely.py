@@ -22,7 +22,7 @@ from mpc.tolerances import NEAR_OPTIMUM
 
 def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array,
                 options: dict[str, Any]) -> tuple[Solution, Information | None]:  # fmt: skip
-    """Most likely solution, with what its data tell; None where it was not found.
+    """Most likely solution, and what its data tell.
 
     Beside a disturbance that of the parameters alone, by Newton's method: slopes of what the joint likelihood lacks
     enter as a cost of p.
@@ -52,7 +52,7 @@ class _Solves:
         self.end = time.perf_counter() + as_seconds("time_limit", options.get("time_limit"))
 
     def minimum(self, problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
-        """Solution that no direction leads down from, with what its data tell; None where none was found."""
+        """Solution that no direction leads down from, and what data tell."""
         solution = self._refined(problem, self.options | own)
         known, move = self._looked_at(solution)
         if move is None:
@@ -64,7 +64,7 @@ class _Solves:
         return solution, known if move is None else None
 
     def _looked_at(self, solution: Solution) -> tuple[Information | None, Array | None]:
-        """What the data tell of an optimum, and a move (n,) that leads down from it."""
+        """What data tell of an optimum, and a move (n,) down from it."""
         if not solution.solved_on_mesh:
             return None, None
         known = information(solution, self.residual, self.p_size)
