@@ -29,7 +29,7 @@ class Spread:
     held: Array  # (np − k, np): p to what the data do not tell, and so stays
 
     def __call__(self, p: Any) -> Any:
-        """Its change from that at p."""
+        """Change from that at p."""
         z, away = (ca.mtimes(ca.DM(turned), p - ca.DM(self.p)) for turned in (self.deviations, self.held))
         of_slope = ca.dot(ca.DM(self.slope), z) + ca.dot(z, ca.mtimes(ca.DM(self.curvature), z)) / 2
         return of_slope + ca.sumsqr(away) / 2
