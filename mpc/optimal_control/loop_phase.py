@@ -120,9 +120,10 @@ class LoopPhase(Immutable):
         if self.sizes is not None:
             scale[known] = self.sizes[numbers[known - part.first]]
         else:  # bounds that nothing reaches tell no size
-            loose = replace(part.phase, x_bounds=(-INF, INF), start=None, end=None)
-            moved = phase_unknowns(loose, part.functions, parameters, part.layout, part.mesh)[3][states - part.first]
-            scale[states] = np.where(scale[states] > WELL_SIZED * moved, moved, scale[states])
+            guess = None if self.phase.guess is None else part.phase.guess
+            loose = replace(part.phase, x_bounds=(-INF, INF), start=None, end=None, guess=guess)
+            moved = phase_unknowns(loose, part.functions, parameters, part.layout, part.mesh)[3][known - part.first]
+            scale[known] = np.where(scale[known] > WELL_SIZED * moved, moved, scale[known])
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)

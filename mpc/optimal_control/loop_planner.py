@@ -42,7 +42,7 @@ class _Tried:
     found: Found
     cost: float
     violation: float  # of a hard limit, in its unit
-    passed: float  # the same in sizes of its row
+    passed: float  # the same in sizes of its row, or the largest gap in sizes of states
 
     @property
     def status(self) -> Status:
@@ -146,7 +146,7 @@ class LoopPlanner:
             path = contracted(programs(first, stated, clock, times=times), self.most)
             if path is None or path.last is None or not path.error <= KKT:
                 return None
-            if path.inputs is before.inputs and not path.last.strict:  # it may be a saddle
+            if path.inputs is before.inputs and path.last.saddle:
                 return None
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
@@ -244,7 +244,8 @@ class LoopPlanner:
         run.program = replace(sized, lower=lower, upper=upper, scale=scale)
         found = run.solved(np.clip(v, lower, upper), None, warm=False)
         at = local(*self._trajectory(found.v))
-        return _Tried(found, at.cost(), *at.passed)
+        over, relative = at.passed
+        return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)))
 
     def _trajectory(self, v: Array) -> tuple[Array, Array]:
         """States (N + 1, nx) and inputs (N, nu) of unknowns."""

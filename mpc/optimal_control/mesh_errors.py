@@ -10,13 +10,10 @@ import numpy as np
 
 from mpc.budgets import CLOSER_LOOKS, LIMIT_CHECKS, OBSTACLE_DOUBLINGS
 from mpc.checks import Array
-from mpc.optimal_control.interval import layout_of, times_of
-from mpc.optimal_control.phase import signal_along
-from mpc.optimal_control.phase_solution import PhaseSolution
-from mpc.optimal_control.pieces import interval_function
+from mpc.optimal_control.phase_solution import PhaseSolution, stepped
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL
+from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED_SUM
 
 
 class Missed(NamedTuple):
@@ -49,13 +46,14 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
     along = _states(phase)
     largest, extent = np.abs(along).max(axis=0), np.ptp(along, axis=0)
     size = np.maximum(np.minimum(largest, extent / LEAST_MOVE), NEGLIGIBLE * np.maximum(largest, moved))
-    size = np.maximum(size, PRIMAL * _scales(program, phase, range(len(size))))
+    scale = _scales(program, phase, range(len(size)))
+    size = np.where(largest > ROUNDED_SUM * scale, size, np.maximum(size, PRIMAL * scale))
     with np.errstate(over="ignore", invalid="ignore"):  # of what is no number between the points
         if isinstance(scheme, Collocation):
             found = _by_residual(phase, scheme, multipliers)
         else:
             found = _by_finer_steps(phase, scheme, multipliers)
-    relative = found.dynamics / size
+    relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
     return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost)))
 
@@ -64,8 +62,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
-    knots = len(part.phase.signal) if isinstance(part.phase.signal, np.ndarray) else 1  # of a signal's table
-    pieces = -(-knots // N)  # of an interval, on average
+    pieces = -(-_rows_of_signal(phase) // N)  # of an interval, on average
     tau = (np.arange(pieces)[:, None] + 0.5 * (tau + 1)).ravel() / pieces
     weights = np.tile(0.5 * weights / pieces, pieces)
     h, basis = np.diff(phase.times), scheme.basis(tau)
@@ -104,20 +101,24 @@ def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
 
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers: dict[str, Array]) -> Missed:
-    """Differences (N, nx) by finer integration, and cost errors."""
-    part, none = phase.part, np.zeros((0, phase.part.intervals))
-    finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
-    nodes = phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none
-    costs = []
-    for one in (scheme, finer):
-        layout = layout_of(part.phase, part.layout.nw, one)
-        interval = interval_function(part.phase, part.functions, one, layout, len(phase.p))
-        w = signal_along(part.phase, times_of(layout.signals, part.mesh)).T
-        found = interval(*nodes, phase.p, phase.times[None, :-1], np.diff(phase.times)[None], w)
-        ends, cost = (np.asarray(value, dtype=float).T for value in found[:2])
-        costs.append(cost[:, 0])
+    """Differences (N, nx) by finer integration, also from row to row of a signal's table, and cost errors."""
+    part, x, u = phase.part, phase.states[:-1].T, phase.stages.inputs[:, 0].T
+    rows = int(np.ceil(np.diff(part.mesh).max() * (_rows_of_signal(phase) - 1)))
+    steps = scheme.substeps if scheme.integrator == "rk4" else 1
+    finer = replace(scheme, tolerance=0.01 * scheme.tolerance)
+    (_, cost), (states, finer_cost) = (
+        stepped(part, x, u, phase.p, phase.times, one, count)
+        for one, count in ((scheme, steps), (finer, max(2 * steps, rows)))
+    )
+    ends = states[:, -1] - phase.states[1:]
     costates = multipliers["rows"][part.defects].reshape(ends.shape)
-    return Missed(np.abs(ends), phase.weight * (costs[1] - costs[0]) + (costates * ends).sum(axis=1))
+    return Missed(np.abs(ends), phase.weight * (finer_cost - cost) + (costates * ends).sum(axis=1))
+
+
+def _rows_of_signal(phase: PhaseSolution) -> int:
+    """Rows of a signal's table, 1 without one."""
+    signal = phase.part.phase.signal
+    return len(signal) if isinstance(signal, np.ndarray) else 1
 
 
 class Excess(NamedTuple):
@@ -145,15 +146,20 @@ def path_excess(program: NonlinearProgram, phase: PhaseSolution) -> Excess:
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
-    mesh, signal = phase.part.mesh, phase.part.phase.signal
-    knots = np.linspace(0, 1, len(signal) if isinstance(signal, np.ndarray) else 0)
+    mesh, rows_of_signal = phase.part.mesh, _rows_of_signal(phase)
+    knots = np.linspace(0, 1, rows_of_signal if rows_of_signal > 1 else 0)
     regular = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
-    places = np.sort(np.concatenate([regular, np.interp(knots, mesh, np.arange(N + 1))]))
+    both = [regular, np.interp(knots, mesh, np.arange(N + 1))]  # whose neighbours are equally far each
+    both = [places for places in both if places.size]
+    each = [_beyond(phase, places) for places in both]
+    peaks = [(rows, places[first]) for places, (rows, first) in zip(both, map(_peaks, each))]
+    places, beyond = np.concatenate(both), np.concatenate(each, axis=1)
     within = np.minimum(places.astype(int), N - 1)
-    beyond = _beyond(phase, places)
-    relative = np.maximum.reduceat(beyond, np.searchsorted(within, np.arange(N)), axis=1) / sizes
-    rows, first = _peaks(beyond)
-    value, place, local = _closer(phase, rows, places[first])
+    relative = np.full((m, N), -np.inf)
+    np.maximum.at(relative.T, within, beyond.T)
+    relative /= sizes
+    rows, first = (np.concatenate(part) for part in zip(*peaks))
+    value, place, local = _closer(phase, rows, first)
     k = np.minimum(place.astype(int), N - 1)
     of_size = np.where(value > LIMIT_PASSED / 10 * sizes[rows, k], value / np.minimum(sizes[rows, k], local), 0.0)
     np.maximum.at(relative, (rows, k), np.maximum(of_size, _of_obstacles(phase, place, rows, value)))

@@ -163,7 +163,8 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     stage_states, stage_inputs = (np.stack(values, axis=0).transpose(2, 0, 1) for values in of_points)
     at, states, inputs = times, stage_states, stage_inputs
     if isinstance(part.scheme, MultipleShooting) and not discrete:
-        states = _steps(part, x[:, :-1], own, p, mesh_times, part.scheme)
+        steps = part.scheme.substeps if part.scheme.integrator == "rk4" else LIMIT_CHECKS
+        states, _ = stepped(part, x[:, :-1], own, p, mesh_times, part.scheme, steps)
         at = start + length * times_of(np.linspace(0, 1, states.shape[1]).tolist(), part.mesh)
         inputs = np.repeat(inputs, states.shape[1], axis=1)
     flat_states, flat_inputs = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
@@ -179,14 +180,15 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)
 
 
-def _steps(part: PhasePart, x: Array, own: Array, p: Array, times: Array, scheme: MultipleShooting) -> Array:
-    """States (N, steps + 1, nx) along the steps of shooting."""
-    count = scheme.substeps if scheme.integrator == "rk4" else LIMIT_CHECKS
+def stepped(part: PhasePart, x: Array, own: Array, p: Array, times: Array, scheme: MultipleShooting,
+            count: int) -> tuple[Array, Array]:  # fmt: skip
+    """States (N, count + 1, nx) by steps from states (nx, N), and costs (N,)."""
     one, none, h = replace(scheme, substeps=1), np.zeros((0, len(times) - 1)), np.diff(times) / count
     layout = layout_of(part.phase, part.layout.nw, one)
-    step, states = interval_function(part.phase, part.functions, one, layout, len(p)), [x]
+    step, states, cost = interval_function(part.phase, part.functions, one, layout, len(p)), [x], np.zeros(len(h))
     for j in range(count):
         w = signal_along(part.phase, times_of([(j + c) / count for c in layout.signals], part.mesh)).T
         found = step(states[-1], none, own, np.zeros(x.shape), none, p, (times[:-1] + j * h)[None], h[None], w)
         states.append(np.asarray(found[0], dtype=float))
-    return np.stack(states, axis=0).transpose(2, 0, 1)
+        cost = cost + np.asarray(found[1], dtype=float).ravel()
+    return np.stack(states, axis=0).transpose(2, 0, 1), cost

@@ -128,7 +128,7 @@ class PhaseStages:
         total = float(cost.sum() + last.sum() + (self._prices[soft] * np.stack([over, over**2], axis=1)[soft]).sum())
         # a violation that costs linearly is found by proximal steps from the present one
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
-        prices += np.stack([-2 * near * (over / rows.amounts)[given], near], axis=1)
+        prices += np.stack([np.where(near > 0, -2 * near * (over / rows.amounts)[given], 0.0), near], axis=1)
         return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
                      self.extent, lambda: total, prices)  # fmt: skip
 

@@ -12,7 +12,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.plan import Plan, Status
 from mpc.rollout import Given
-from mpc.tolerances import COST_ROUNDING
+from mpc.tolerances import COST_ROUNDING, FEASIBLE
 
 SHIFTED = "shifted plan"
 Trajectory = tuple[Array, Array]  # states (N + 1, nx) and inputs (N, nu)
@@ -61,7 +61,7 @@ def told_of_inputs(plan: Plan, bounds: tuple[Array, Array], rate_limit: Array | 
     if rate_limit is None or plan.status in (Status.SOLVED, Status.SOFTENED):
         return plan
     last, (low, high) = given["u_prev"], bounds
-    apart = (last + rate_limit < low) | (last - rate_limit > high)
+    apart = np.maximum(low - last, last - high) > (1 + FEASIBLE) * rate_limit
     return replace(plan, status=Status.INFEASIBLE) if apart.any() else plan
 
 

@@ -33,7 +33,7 @@ from mpc.optimal_control.program import (
 from mpc.optimal_control.solution import Ends, OptimalControlStatus, Solution, alike, merged
 from mpc.optimal_control.starts import as_starts, promising, with_guess, without_limits
 from mpc.optimal_control.transcription import build
-from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SIZED
+from mpc.tolerances import BOTTOMLESS, COARSE_MESH, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SIZED
 
 SAID = {
     "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,
@@ -276,7 +276,8 @@ class Run:
         program = self.program
         least: Found | None = None
         first = np.clip(program.guess, program.lower, program.upper)
-        for guess in (found.v, first, shaken(program), *longer(program, first)):
+        near = found.v, first, shaken(program)
+        for i, guess in enumerate((*near, *longer(program, first))):
             loose = elastic(program, guess)
             tried = once(loose, loose.guess, None, self.left(warm=False))
             self.iterations += tried.iterations
@@ -289,6 +290,10 @@ class Run:
             if tried.violations.max(initial=0.0) <= FEASIBLE:
                 again = self.solved(tried.v, None, warm=False)
                 status = status_of(again)
+                # over long intervals equations of a mesh hold where the dynamics do not
+                if i >= len(near) and self._packed(again, status, ()).mesh_error > COARSE_MESH:
+                    self.program = program
+                    continue
                 if status is OptimalControlStatus.INFEASIBLE:  # it is not, at the start of this call
                     return tried, OptimalControlStatus.STOPPED, ()
                 return again, status, ()

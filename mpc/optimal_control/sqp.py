@@ -14,7 +14,7 @@ from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -48,6 +48,16 @@ class Step:
     def error(self) -> float:
         """Larger of gaps and stationarity, no number where one is none."""
         return float(np.maximum(self.defects, self.stationarity))
+
+    @property
+    def saddle(self) -> bool:
+        """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
+        own, on = self.program, self.multipliers
+        if own is None:
+            return False
+        hessian, sizes = own.local.hessian(on), np.concatenate(own.local.sizes)
+        flat = NEGLIGIBLE * (largest(sizes[:, None] * hessian * sizes) or 1.0) / sizes**2  # what costs nothing is none
+        return _program(own.local, own.dear, on, hessian + np.diag(flat), self.relaxed) is None
 
     @property
     def strict(self) -> bool:
@@ -130,7 +140,8 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     """
     none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
     failed = Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
-    if not all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input)):
+    finite = all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input))
+    if not finite or np.isnan(local.room).any():
         return failed
     hessian = None
     if last is not None and multipliers is not None:

@@ -108,6 +108,31 @@ def test_a_limit_that_dips_at_one_row_of_a_table_is_kept_there(row):
     assert found.cost > -1.5
 
 
+def test_a_table_hides_no_obstacle_between_its_rows():
+    centre = (165 / 32 + 0.48 / 16) / 10  # beside a place that is a row of 65, too
+    for signal in (None, np.ones((65, 1))):
+        through = solve(build(Phase(
+            lambda u: u, 2, 2, start=[0, 0], end=[1, 0], stage_cost=lambda u: ca.sumsqr(u), signal=signal,
+            path=lambda x: 1e3 * (1e-6 - (x[0] - centre) ** 2 - x[1] ** 2),
+        ), intervals=10))  # fmt: skip
+        assert through.status is OptimalControlStatus.LIMITS_PASSED
+
+
+@pytest.mark.parametrize("scheme", [MultipleShooting(4), MultipleShooting(integrator="cvodes")])
+def test_a_spike_between_the_steps_of_shooting_is_met_or_said(scheme):
+    table = np.zeros((1001, 1))
+    table[333] = 50.0
+    phase = Phase(
+        lambda x, u, w: -x + u + w, 1, 1, start=[0.0], duration=10.0, stage_cost=lambda x, u: x**2 + u**2, signal=table,
+        u_bounds=(-5, 5), x_bounds=(-5, 0.2),
+    )  # fmt: skip
+    assert solve(build(phase, scheme, 10)).status is not OptimalControlStatus.SOLVED
+    if scheme.integrator == "rk4":
+        found = refine(phase, scheme)
+        assert found.solved
+        assert found.cost == pytest.approx(0.2265, rel=0.01)
+
+
 def test_a_state_that_rests_makes_no_mesh_coarse():
     straight_up = Phase(
         lambda x, u: ca.vertcat(

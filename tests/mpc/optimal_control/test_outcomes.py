@@ -95,6 +95,15 @@ def test_a_duration_that_is_guessed_too_short_makes_nothing_infeasible(far, gues
     assert found.cost == pytest.approx(far / 2 * np.pi, rel=0.02)
 
 
+def test_long_intervals_make_nothing_feasible():
+    # a vehicle is asked for twenty times its top speed, and steps of 20 s take it there
+    found = solve(build(Phase(
+        lambda x, u: ca.vertcat(x[1], 0.1 * u - x[1]), 2, 1, start=[0, 0], end=[5, 2], u_bounds=(-1, 1),
+        duration=(0.1, np.inf), terminal_cost=lambda t: t, x_bounds=([-1, 0], [100, 1e3]),
+    ), MultipleShooting(4), 15))  # fmt: skip
+    assert found.status is OptimalControlStatus.INFEASIBLE
+
+
 @pytest.mark.parametrize(
     "cost", [lambda x: -x[0], lambda u: -(u**2), lambda u: -ca.exp(u)], ids=["linear", "concave", "exponential"]
 )

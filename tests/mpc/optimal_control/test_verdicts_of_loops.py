@@ -101,3 +101,37 @@ def test_a_model_that_is_no_number_at_the_state_is_replaced():
         stage_cost=lambda x, u: x[0] ** 2 + u**2,
     )  # fmt: skip
     assert NonlinearMPC(phase).solve([-1.0, 0.0]).status is Status.REPLACED
+
+
+def test_a_limit_that_is_no_number_is_not_kept():
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * u), 2, 1, discrete=True, duration=10, u_bounds=(-1, 1),
+        stage_cost=lambda x, u: (x[0] - 1) ** 2 + u**2, path=lambda x: ca.log(x[0] + 0.5) - 9,
+    )  # fmt: skip
+    controller = NonlinearMPC(phase)
+    told = []
+    for x in ([1.0, 0.0], [-1.0, 0.0], [-1.0, 0.0]):
+        controller(np.array(x))
+        told += [(plan.status, plan.violation) for plan in controller.last_plans]
+    assert told[0][0] is Status.SOLVED
+    assert [status for status, _ in told[1:]] == 2 * [Status.REPLACED]
+    assert all(np.isinf(violation) for _, violation in told[1:])
+
+
+@pytest.mark.parametrize("lowest", [-np.inf, -1e3, -1e6, -1e9])
+def test_a_bound_on_one_side_that_nothing_reaches_tells_no_size(lowest):
+    # the wall is at 1, and braking with all force from 1.5 at 0.9 ends beyond it
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * x[1] + 0.005 * u, x[1] + 0.1 * u), 2, 1, discrete=True, duration=20,
+        u_bounds=(-1, 1), x_bounds=([lowest, -9], [1, 9]), stage_cost=lambda x, u: ca.sumsqr(x) + 0.1 * u**2,
+    )  # fmt: skip
+    controller = NonlinearMPC(phase)
+    for _ in range(2):
+        controller(np.array([0.9, 1.5]))
+        (plan,) = controller.last_plans
+        x = np.array([0.9, 1.5])
+        for u, planned in zip(plan.inputs[:, 0], plan.states[1:]):
+            x = np.array([x[0] + 0.1 * x[1] + 0.005 * u, x[1] + 0.1 * u])
+            assert planned == pytest.approx(x, abs=1e-9)
+        assert plan.status is Status.SOFTENED
+        assert plan.violation == pytest.approx(plan.states[:, 0].max() - 1, rel=1e-9)
