@@ -27,6 +27,7 @@ class Spread:
     slope: Array  # (k,)
     curvature: Array  # (k, k)
     held: Array  # (np − k, np): p to what the data do not tell, and so stays
+    convex: bool  # whether its curvature is whole
 
     def __call__(self, p: Any) -> Any:
         """Change from that at p."""
@@ -67,16 +68,11 @@ def spread_of(solution: Solution, known: Information, residual: ca.Function, bef
         own = before.deviations @ moves[p]
         joint = joint - own.T @ before.curvature @ own
     deviations, rest = turned[:, some].T / size[:, None], turned[:, len(some) :].T / (step * size.min(initial=1.0))
-    return Spread(solution.p, deviations / program.scale[p], (on - back) / (2 * step),
-                  _kept_convex(curvature / step**2, joint), rest / program.scale[p])  # fmt: skip
-
-
-def _kept_convex(curvature: Array, joint: Array) -> Array:
-    """Curvature (k, k), its negative part left out where the sum is not convex."""
-    if np.linalg.eigvalsh(curvature + joint).min(initial=1.0) > 0:
-        return curvature
-    values, ways = np.linalg.eigh(curvature)
-    return np.asarray((ways * np.maximum(values, 0.0)) @ ways.T)
+    convex = bool(np.linalg.eigvalsh(curvature / step**2 + joint).min(initial=1.0) > 0)
+    values, ways = np.linalg.eigh(curvature / step**2)
+    whole = (ways * (values if convex else np.maximum(values, 0.0))) @ ways.T
+    return Spread(solution.p, deviations / program.scale[p], (on - back) / (2 * step), whole, rest / program.scale[p],
+                  convex)  # fmt: skip
 
 
 def half_log_determinant(program: NonlinearProgram, v: Array, residual: ca.Function) -> float:

@@ -24,22 +24,23 @@ def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: A
                 options: dict[str, Any]) -> tuple[Solution, Information | None]:  # fmt: skip
     """Most likely solution, and what its data tell.
 
-    Beside a disturbance that of the parameters alone, by Newton's method: slopes of what the joint likelihood lacks
-    enter as a cost of p.
+    Beside a disturbance that of the parameters alone, by Newton's method: what the joint likelihood lacks enters as a
+    cost of p. Where that curves downwards nothing is found.
     """
     solves = _Solves(residual, p_size, options)
     solution, known = solves.minimum(problem)
     if not (problem.phases[0].inputs and problem.parameters):
         return solution, known
     spread: Spread | None = None
+    best = solution
     for _ in range(GUESSED_STEPS):
         if known is None:
             break
-        spread = spread_of(solution, known, residual, spread)
+        best, spread = solution, spread_of(solution, known, residual, spread)
         solution, known = solves.minimum(replace(problem, p_cost=spread), start=solution, starts=1)
-        if known is not None and spread.moved(solution.p) < NEAR_OPTIMUM:
+        if known is not None and spread.convex and spread.moved(solution.p) < NEAR_OPTIMUM:
             return solution, observed(solution, known, spread)
-    return solution, None
+    return best, None
 
 
 class _Solves:

@@ -257,3 +257,22 @@ def test_a_bound_that_only_the_joint_maximum_reaches_is_left():
     assert wide.p[0] > 0.6
     np.testing.assert_allclose(narrow.p, wide.p, atol=0.01 * wide.deviations.max())
     np.testing.assert_allclose(narrow.deviations, wide.deviations, rtol=0.01)
+
+
+@pytest.mark.slow
+def test_a_maximum_of_the_likelihood_over_all_courses_is_not_solved():
+    # the disturbance is loudest at p2 = 0, where the joint cost is least and the likelihood a maximum of its logarithm
+    rng, a, dt = np.random.default_rng(0), 0.8, 0.2
+    u, x, gain = np.sign(rng.normal(size=(80, 1))), [1.0], 2 / (1 + 1.7**2)
+    decay = np.exp(-a * dt)
+    for k in range(79):
+        loud = gain * np.sqrt((1 - decay**2) / (2 * a)) * rng.normal()
+        x.append(decay * x[-1] + (1 - decay) / a * u[k, 0] + loud)
+    sensor = 3 * rng.normal(size=80)
+    y = np.column_stack([np.array(x) + 0.22 * rng.normal(size=80), sensor - sensor.mean() + 0.001])
+    found = estimate_parameters(
+        Experiment(dt * np.arange(80), y, inputs=u), lambda x, u, w, p: -p[0] * x + u + 2 / (1 + p[1] ** 2) * w,
+        lambda x, p: ca.vertcat(x, p[1]), states=1, noise=[0.05, 9.0], disturbance=[1.0], p_bounds=([-5, -9], [9, 9]),
+        p_guess=[0.8, 1.7],
+    )  # fmt: skip
+    assert not found.solved or abs(found.p[1]) > 0.5
