@@ -10,7 +10,7 @@ import numpy as np
 
 from mpc.budgets import CLOSER_LOOKS, LIMIT_CHECKS, OBSTACLE_DOUBLINGS
 from mpc.checks import Array
-from mpc.optimal_control.phase_solution import PhaseSolution, stepped
+from mpc.optimal_control.phase_solution import PhaseSolution, rows_within, stepped
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED_SUM
@@ -103,12 +103,11 @@ def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers: dict[str, Array]) -> Missed:
     """Differences (N, nx) by finer integration, also from row to row of a signal's table, and cost errors."""
     part, x, u = phase.part, phase.states[:-1].T, phase.stages.inputs[:, 0].T
-    rows = int(np.ceil(np.diff(part.mesh).max() * (_rows_of_signal(phase) - 1)))
     steps = scheme.substeps if scheme.integrator == "rk4" else 1
     finer = replace(scheme, tolerance=0.01 * scheme.tolerance)
     (_, cost), (states, finer_cost) = (
         stepped(part, x, u, phase.p, phase.times, one, count)
-        for one, count in ((scheme, steps), (finer, max(2 * steps, rows)))
+        for one, count in ((scheme, steps), (finer, max(2 * steps, rows_within(part))))
     )
     ends = states[:, -1] - phase.states[1:]
     costates = multipliers["rows"][part.defects].reshape(ends.shape)

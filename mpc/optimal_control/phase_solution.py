@@ -164,7 +164,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     at, states, inputs = times, stage_states, stage_inputs
     if isinstance(part.scheme, MultipleShooting) and not discrete:
         steps = part.scheme.substeps if part.scheme.integrator == "rk4" else LIMIT_CHECKS
-        states, _ = stepped(part, x[:, :-1], own, p, mesh_times, part.scheme, steps)
+        states, _ = stepped(part, x[:, :-1], own, p, mesh_times, part.scheme, max(steps, rows_within(part)))
         at = start + length * times_of(np.linspace(0, 1, states.shape[1]).tolist(), part.mesh)
         inputs = np.repeat(inputs, states.shape[1], axis=1)
     flat_states, flat_inputs = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
@@ -178,6 +178,12 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     costates = np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
     stages = Stages(times, stage_states, stage_inputs, states, rates.reshape(states.shape))
     return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)
+
+
+def rows_within(part: PhasePart) -> int:
+    """Rows of a signal's table within the longest interval, rounded up."""
+    signal = part.phase.signal
+    return int(np.ceil(np.diff(part.mesh).max() * (len(signal) - 1))) if isinstance(signal, np.ndarray) else 0
 
 
 def stepped(part: PhasePart, x: Array, own: Array, p: Array, times: Array, scheme: MultipleShooting,

@@ -291,7 +291,7 @@ class Run:
                 again = self.solved(tried.v, None, warm=False)
                 status = status_of(again)
                 # over long intervals equations of a mesh hold where the dynamics do not
-                if i >= len(near) and self._packed(again, status, ()).mesh_error > COARSE_MESH:
+                if i >= len(near) and self._packed(again, status, ()).mesh_error > WELL_SIZED * COARSE_MESH:
                     self.program = program
                     continue
                 if status is OptimalControlStatus.INFEASIBLE:  # it is not, at the start of this call

@@ -133,6 +133,18 @@ def test_a_spike_between_the_steps_of_shooting_is_met_or_said(scheme):
         assert found.cost == pytest.approx(0.2265, rel=0.01)
 
 
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_a_doublet_of_a_table_within_a_step_is_seen(steps):
+    table = np.zeros((41, 1))
+    table[12:14, 0] = 40, -40  # which leaves the ends of the interval as they are
+    found = solve(build(Phase(
+        lambda u, w: w + u, 1, 1, stage_cost=lambda u: u**2, start=[0.5], end=[0.6], duration=4.0, x_bounds=(-1, 1),
+        u_bounds=(-5, 5), signal=table,
+    ), MultipleShooting(steps), 4))  # fmt: skip
+    assert found.status is OptimalControlStatus.LIMITS_PASSED
+    assert found.path_excess[0].value[0] > 1.5
+
+
 def test_a_state_that_rests_makes_no_mesh_coarse():
     straight_up = Phase(
         lambda x, u: ca.vertcat(

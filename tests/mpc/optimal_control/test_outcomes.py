@@ -95,6 +95,16 @@ def test_a_duration_that_is_guessed_too_short_makes_nothing_infeasible(far, gues
     assert found.cost == pytest.approx(far / 2 * np.pi, rel=0.02)
 
 
+def test_a_coarse_mesh_over_a_longer_time_is_refined():
+    swing = Phase(
+        lambda x, u: ca.vertcat(x[1], u - ca.sin(x[0])), 2, 1, stage_cost=lambda u: 1 + u**2, start=[0, 0],
+        end=[np.pi, 0], duration=(0.1, 200), duration_guess=1.0, u_bounds=(-0.3, 0.3),
+    )  # fmt: skip
+    found = refine(swing)
+    assert found.solved
+    assert found.cost == pytest.approx(13.6813, rel=1e-4)
+
+
 def test_long_intervals_make_nothing_feasible():
     # a vehicle is asked for twenty times its top speed, and steps of 20 s take it there
     found = solve(build(Phase(
