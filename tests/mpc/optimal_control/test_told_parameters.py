@@ -259,7 +259,7 @@ def test_a_bound_that_only_the_joint_maximum_reaches_is_left():
     np.testing.assert_allclose(narrow.deviations, wide.deviations, rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_maximum_of_the_likelihood_over_all_courses_is_not_solved():
     # the disturbance is loudest at p2 = 0, where the joint cost is least and the likelihood a maximum of its logarithm
     rng, a, dt = np.random.default_rng(0), 0.8, 0.2
