@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ccdtools_ground.door import as_number
-from mpc.budgets import ASIDE
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -22,7 +21,7 @@ from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, told_of_inputs, until_most_agree
+from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -253,9 +252,8 @@ class LoopPlanner:
         return finite(nodes[: self.loop.phase.states].T.copy()), own.T.copy()
 
     def _aside(self, inputs: Array) -> Array:
-        """Inputs (N, nu) that break symmetries, the same every time."""
-        moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, inputs.shape)
-        return np.clip(inputs + moves * self._input_sizes, *self.loop.phase.u_bounds)
+        """Inputs (N, nu) that break symmetries, within their bounds."""
+        return np.clip(aside(inputs, self._input_sizes), *self.loop.phase.u_bounds)
 
     @property
     def _input_sizes(self) -> Array:

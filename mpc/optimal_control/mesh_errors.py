@@ -10,7 +10,7 @@ import numpy as np
 
 from mpc.budgets import CLOSER_LOOKS, LIMIT_CHECKS, OBSTACLE_DOUBLINGS
 from mpc.checks import Array
-from mpc.optimal_control.phase_solution import PhaseSolution, rows_within, stepped
+from mpc.optimal_control.phase_solution import PhaseSolution, rows_of_signal, rows_within, stepped
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED_SUM
@@ -62,7 +62,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
-    pieces = -(-_rows_of_signal(phase) // N)  # of an interval, on average
+    pieces = -(-rows_of_signal(part) // N)  # of an interval, on average
     tau = (np.arange(pieces)[:, None] + 0.5 * (tau + 1)).ravel() / pieces
     weights = np.tile(0.5 * weights / pieces, pieces)
     h, basis = np.diff(phase.times), scheme.basis(tau)
@@ -114,12 +114,6 @@ def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers:
     return Missed(np.abs(ends), phase.weight * (finer_cost - cost) + (costates * ends).sum(axis=1))
 
 
-def _rows_of_signal(phase: PhaseSolution) -> int:
-    """Rows of a signal's table, 1 without one."""
-    signal = phase.part.phase.signal
-    return len(signal) if isinstance(signal, np.ndarray) else 1
-
-
 class Excess(NamedTuple):
     """Largest violation of each limit between points: path, then bounded states.
 
@@ -145,8 +139,8 @@ def path_excess(program: NonlinearProgram, phase: PhaseSolution) -> Excess:
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
-    mesh, rows_of_signal = phase.part.mesh, _rows_of_signal(phase)
-    knots = np.linspace(0, 1, rows_of_signal if rows_of_signal > 1 else 0)
+    mesh, table = phase.part.mesh, rows_of_signal(phase.part)
+    knots = np.linspace(0, 1, table if table > 1 else 0)
     regular = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
     both = [regular, np.interp(knots, mesh, np.arange(N + 1))]  # whose neighbours are equally far each
     both = [places for places in both if places.size]

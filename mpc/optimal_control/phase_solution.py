@@ -180,10 +180,15 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)
 
 
+def rows_of_signal(part: PhasePart) -> int:
+    """Rows of a signal's table, 1 without one."""
+    signal = part.phase.signal
+    return len(signal) if isinstance(signal, np.ndarray) else 1
+
+
 def rows_within(part: PhasePart) -> int:
     """Rows of a signal's table within the longest interval, rounded up."""
-    signal = part.phase.signal
-    return int(np.ceil(np.diff(part.mesh).max() * (len(signal) - 1))) if isinstance(signal, np.ndarray) else 0
+    return int(np.ceil(np.diff(part.mesh).max() * (rows_of_signal(part) - 1)))
 
 
 def stepped(part: PhasePart, x: Array, own: Array, p: Array, times: Array, scheme: MultipleShooting,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mpc.budgets import ASIDE
 from mpc.checks import Array
 from mpc.plan import Plan, Status
 from mpc.rollout import Given
@@ -63,6 +64,11 @@ def told_of_inputs(plan: Plan, bounds: tuple[Array, Array], rate_limit: Array | 
     last, (low, high) = given["u_prev"], bounds
     apart = np.maximum(low - last, last - high) > (1 + FEASIBLE) * rate_limit
     return replace(plan, status=Status.INFEASIBLE) if apart.any() else plan
+
+
+def aside(inputs: Array, sizes: Array) -> Array:
+    """Inputs (N, nu) moved off their symmetries, the same every time."""
+    return inputs + np.random.default_rng(0).uniform(-ASIDE, ASIDE, inputs.shape) * sizes
 
 
 def until_most_agree(tried: Iterable[Any], starts: int) -> Iterator[Any]:

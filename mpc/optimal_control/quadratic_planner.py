@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from mpc.budgets import ASIDE
 from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
@@ -18,7 +17,7 @@ from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.paths import CONVERGING, REAL_TIME, Path, contracted, programs
-from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted, told_of_inputs, until_most_agree
+from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
 from mpc.optimal_control.sqp import TINY, carried
@@ -249,9 +248,8 @@ class QuadraticPlanner:
         yield from paths
 
     def _aside(self, path: Path) -> Path:
-        """Path with inputs that break its symmetries, the same every time."""
-        moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, path.inputs.shape)
-        return replace(path, inputs=path.inputs + moves * self.stages.sizes[1])
+        """Path with inputs that break its symmetries."""
+        return replace(path, inputs=aside(path.inputs, self.stages.sizes[1]))
 
     def _law_does_better(self, sample: _Sample, at: Path) -> bool:
         """Whether the linear law, simulated, costs less than a plan."""
