@@ -4,8 +4,6 @@ import ast
 from importlib import import_module
 from pathlib import Path
 
-import pytest
-
 import ccdtools
 
 TESTS = Path(__file__).parent
@@ -39,7 +37,6 @@ def is_public(module: str, name: str | None) -> bool:
     return name in exported
 
 
-@pytest.mark.long
 def test_tests_outside_inner_import_public_names_alone():
     """Move the test to `tests/inner`, or let it speak through what users import."""
     inner = {}
