@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from adversarial_mpc import promises, random_case, verdict
+from mpc_problems import random_case
+from plan_oracles import promises, verdict
 from plants import box
 
 from mpc import LinearMPC, NotStabilisableError, Status

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from adversarial_mpc import in_other_units
+from mpc_problems import in_other_units
 from plants import box
 
 from mpc import LinearMPC, NotStabilisableError, OffsetFreeMPC, Status, lqr

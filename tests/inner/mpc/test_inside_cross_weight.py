@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from adversarial_mpc import output_case, output_cost, output_plan
+from weighted_outputs import output_case, output_cost, output_plan
 
 from mpc.problem import MPCProblem
 from mpc.rollout import spread_signals
