@@ -7,7 +7,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from nmpc_statements import Reference, law_of, random_statement
+from ipopt_reference import Reference
+from random_statements import law_of, random_statement
 
 from mpc import InputError, Status
 from mpc.optimal_control import (
