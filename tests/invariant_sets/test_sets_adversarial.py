@@ -4,6 +4,7 @@ import time
 
 import adversarial_sets as adversarial
 import pytest
+from set_cases import control_case
 
 from invariant_sets import Status, maximal_control_invariant_set
 
@@ -32,7 +33,7 @@ def test_largest_control_invariant_sets_are_invariant_and_what_lies_outside_leav
 @pytest.mark.parametrize("seed", [16, 53])
 def test_a_time_limit_holds_and_leaves_an_invariant_inner_set(seed):
     """Five and six states with three inputs: nothing like enough time."""
-    case = adversarial.control_case(seed)
+    case = control_case(seed)
     start = time.perf_counter()
     result = maximal_control_invariant_set(*case.matrices, case.states(case.X), case.inputs(), time_limit=3.0)
     spent = time.perf_counter() - start
