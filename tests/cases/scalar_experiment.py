@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ccdtools import LinearFeedback, QuadraticObjective, Scenario, experiment, plant_from_matrices
+from ccdtools import InputError, LinearFeedback, QuadraticObjective, Scenario, experiment, plant_from_matrices
 from ccdtools.plants import BlackBox
 
 A, R = 0.9, 0.5
@@ -13,6 +13,18 @@ LAWS = {
     "LQR": lambda design, rng: LinearFeedback([[GAIN]]),
     "learned": lambda design, rng: (LinearFeedback([[GAIN + 0.1 * rng.random()]]), 500),
 }
+WEAK = {"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}
+WILD = Scenario(PLANT, [[0.1], [5.0]], np.zeros((2, 15, 1)))
+
+
+def never(design, rng):
+    """A controller that cannot be made."""
+    raise InputError("gains", "none", "some")
+
+
+def always(laws):
+    """Functions that make these controllers, whatever the seed."""
+    return {name: lambda design, rng, law=law: law for name, law in laws.items()}
 
 
 def drawn(rng):
