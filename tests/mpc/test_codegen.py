@@ -2,7 +2,6 @@
 
 import ctypes
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_mpc import integrator, scaled_suspension
+from compiler import CC, needs_compiler
 from plants import box, double_integrator, suspension
 from random_problems import random_plant
 
 from invariant_sets import Polytope
 from mpc import InputError, LinearMPC
 
-CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
 
 DRIVER = """
 #include <stdio.h>

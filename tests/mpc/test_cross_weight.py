@@ -5,11 +5,12 @@ import copy
 import control
 import numpy as np
 import pytest
+from compiler import needs_compiler
 from mpc_problems import crossed_case
 from plan_oracles import promises, verdict
 from plants import SUSPENSION, box, double_integrator, suspension
 from scipy.optimize import minimize
-from test_codegen import needs_compiler, run_c
+from test_codegen import run_c
 from weighted_outputs import law_faults, output_case, output_cost, output_faults, output_plan
 
 from mpc import InputError, LinearMPC, NotConvexError, NotStabilisableError, OffsetFreeMPC, Status, lqr

@@ -2,18 +2,17 @@
 
 import ctypes
 import itertools
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from compiler import CC, needs_compiler
 
 from invariant_sets import Polytope, maximal_positively_invariant_set
 from mpc import ExplicitMPC, InfeasibleError, InputError, LinearMPC, Status
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
 X, U, W = ([-5, -0.8], [5, 0.8]), (-1, 1), ([-0.002, -0.03], [0.002, 0.03])
-CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 OWN = {"Q": [1.0, 0.1], "R": 0.1, "X": X, "U": U}
 
 
@@ -124,7 +123,7 @@ def test_the_explicit_law_is_the_online_one():
 
 
 @pytest.mark.long
-@pytest.mark.skipif(CC is None, reason="no C compiler")
+@needs_compiler
 def test_c_code_and_a_stored_law_are_the_online_one(tmp_path):
     controller = cart(horizon=5)
     law = controller.explicit()

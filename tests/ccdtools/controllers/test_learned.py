@@ -1,17 +1,15 @@
 """A learned policy as a controller, and on disk."""
 
-import shutil
 import subprocess
 
 import casadi as ca
 import numpy as np
 import pytest
 import torch
+from compiler import CC, needs_compiler
 
 from ccdtools import InputError, LearnedPolicy, load_policy
 from learning import ActorCritic, NetworkConfig
-
-CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 
 
 def agent(**options):
@@ -85,7 +83,7 @@ def test_casadi_differentiates_a_policy(policy):
     np.testing.assert_allclose(slope, differences, atol=1e-7)
 
 
-@pytest.mark.skipif(CC is None, reason="no C compiler")
+@needs_compiler
 def test_the_c_code_of_a_policy_gives_its_mean_action(policy, rng, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     policy.to_casadi().generate("policy.c")

@@ -12,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from compiler import CC
 
 from ccdtools import (
     DesignSpace,
@@ -29,7 +30,6 @@ from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import from_fmu
 
 fmpy = pytest.importorskip("fmpy")
-CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 HERE = CC is not None and sys.platform.startswith("linux")
 pytestmark = pytest.mark.skipif(not HERE, reason="needs a C compiler on Linux")
 CASES = Path(__file__).parents[2] / "cases"

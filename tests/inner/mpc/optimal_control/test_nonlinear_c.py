@@ -1,19 +1,17 @@
 """The generated C makes the real-time iteration that Python makes, with a solver of its own, and controls alike."""
 
-import shutil
 import subprocess
 
 import casadi as ca
 import numpy as np
 import pytest
+from compiler import CC, needs_compiler
 
 from mpc import InputError
 from mpc.optimal_control import NonlinearMPC
 from mpc.optimal_control.c_code import real_time_iteration
 from mpc.optimal_control.sqp import next_step
 
-CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
-needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
 N = 8
 UNITS = [(np.ones(2), 1.0, 1.0), (np.array([57.3, 57.3]), 1e3, 1e-4), (np.array([1e3, 3.6e6]), 1e-3, 1e6)]
 
