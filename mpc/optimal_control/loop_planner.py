@@ -28,7 +28,7 @@ from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
+from mpc.tolerances import FEASIBLE, KKT, OPTIMAL, SOLVERS, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -145,7 +145,7 @@ class LoopPlanner:
             path = contracted(programs(first, stated, clock, times=times), self.most)
             if path is None or path.last is None or not path.error <= KKT:
                 return None
-            if path.inputs is before.inputs and path.last.saddle:
+            if path.last.saddle:
                 return None
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
@@ -168,13 +168,15 @@ class LoopPlanner:
                     over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
-        """Optimum with the multipliers of a program about it."""
+        """Optimum with the multipliers of a program about it, which confirms it."""
         local = self._local(x, given, plan.states, plan.inputs)
         step = next_step(local, PRICE * local.force, relaxed=plan.status is Status.SOFTENED, times=PRICE)
         if not step.solved:
             return plan
+        still = min(step.error, step.size) <= OPTIMAL
+        status = plan.status if still or plan.status is Status.SOFTENED else Status.INACCURATE
         on = step.multipliers
-        return replace(plan, costates=on.costates[:, : len(x)].copy(), pushes=on.pushes)
+        return replace(plan, status=status, costates=on.costates[:, : len(x)].copy(), pushes=on.pushes)
 
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
@@ -202,7 +204,8 @@ class LoopPlanner:
             return plan
         plan = self._with_multipliers(plan, x, given)
         # limits that are small beside the way are kept to their own sizes by programs
-        nearer = self._followed(x, given, plan, clock) if plan.status is Status.SOFTENED and not clock.late else None
+        sure = plan.status is Status.SOLVED or clock.late
+        nearer = None if sure else self._followed(x, given, plan, clock)
         return nearer or plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:

@@ -159,7 +159,7 @@ class QuadraticPlanner:
         stayed = at.inputs is first.inputs
         enough = not self._law_does_better(sample, at) if follow else stayed
         # it may be a saddle, to which no plan beside it comes back
-        if stayed and at.solved and sample.size > TINY and not (at.last and at.last.strict):
+        if at.solved and sample.size > TINY and not (at.last and at.last.strict):
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)

@@ -14,7 +14,7 @@ from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE, WELL_SIZED
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -35,7 +35,6 @@ class Step:
     stationarity: float
     relaxed: bool  # whether limits of states had to be relaxed
     solved: bool
-    newton: bool = False  # whether its Hessian was the Lagrangian's
     program: _Program | None = None
     _balanced: Callable[[], Multipliers] = lambda: Multipliers(np.zeros(0), np.zeros(0))
 
@@ -53,7 +52,7 @@ class Step:
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
         own, on = self.program, self.multipliers
-        if own is None:
+        if own is None or own.curves_as(on):
             return False
         hessian, sizes = own.local.hessian(on), np.concatenate(own.local.sizes)
         flat = NEGLIGIBLE * (largest(sizes[:, None] * hessian * sizes) or 1.0) / sizes**2  # what costs nothing is none
@@ -62,8 +61,10 @@ class Step:
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
-        own = self.program
-        return own is not None and _program(own.local, own.dear, self.multipliers, relaxed=self.relaxed) is not None
+        own, on = self.program, self.multipliers
+        if own is None or own.curves_as(on):
+            return own is not None
+        return _program(own.local, own.dear, on, relaxed=self.relaxed) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,17 @@ class _Program:
     by_state: Array
     by_input: Array
     lost: Array
+    on: Multipliers | None  # of the Lagrangian, where the Hessian is its
+
+    def curves_as(self, other: Multipliers) -> bool:
+        """Whether its Hessian is the Lagrangian's with multipliers that are hardly others."""
+        if self.on is None:
+            return False
+        units, rows, k = self.local.sizes[0], self.local.rows.units, self.on.costates.shape[1]  # a plan carries its own
+        pairs = ((self.on.costates, other.costates[:, :k], units[:k]), (self.on.pushes, other.pushes, rows))
+        apart = max(largest((before - now) * unit) for before, now, unit in pairs)
+        size = max(largest(now * unit) for _, now, unit in pairs)
+        return apart <= size / WELL_SIZED
 
     @property
     def gradient(self) -> Array:
@@ -148,7 +160,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
-        if last.newton and last.program is not None and confirmed.error <= (KKT * last.error) ** 0.5:
+        if last.program is not None and last.program.on is not None and confirmed.error <= (KKT * last.error) ** 0.5:
             hessian = last.program.hessian  # falling as before, the error will be gone with the same one
     newton = None if multipliers is None else _program(local, dear, multipliers, hessian, relaxed)
     program = newton or _program(local, dear, None)
@@ -164,7 +176,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
     found = local, moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
-    return Step(*found, relaxed, solved, newton is not None, program, balanced)
+    return Step(*found, relaxed, solved, program, balanced)
 
 
 def carried(plan: Plan) -> Multipliers | None:
@@ -258,7 +270,9 @@ def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian
     by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left)
+    return _Program(
+        local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, multipliers
+    )
 
 
 def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:

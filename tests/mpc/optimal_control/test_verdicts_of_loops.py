@@ -135,3 +135,31 @@ def test_a_bound_on_one_side_that_nothing_reaches_tells_no_size(lowest):
             assert planned == pytest.approx(x, abs=1e-9)
         assert plan.status is Status.SOFTENED
         assert plan.violation == pytest.approx(plan.states[:, 0].max() - 1, rel=1e-9)
+
+
+def test_a_plan_that_moves_along_a_ridge_is_left():
+    """A well becomes a ridge between two wells while another state moves: what stays on the ridge is no optimum."""
+    ones = np.ones((16, 1))
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + u[0], x[1] + 0.5 * ca.sin(u[1])), 2, 2, discrete=True, duration=15,
+        u_bounds=(-1, 1), signal=ones,
+        stage_cost=lambda x, u, w: w * x[0] ** 2 + 0.1 * x[0] ** 4 + ca.exp(x[1]) - x[1] + ca.sumsqr(u),
+    )  # fmt: skip
+    controller = NonlinearMPC(phase, uses=("preview",))
+    for y in (1.0, 0.5, -1.0):
+        controller([0, y], w=ones)
+    controller([0, 1.2], w=-0.4 * ones)
+    (plan,) = controller.last_plans
+    assert plan.status is Status.SOLVED
+    assert plan.cost == pytest.approx(13.541547, rel=1e-6)
+
+
+def test_a_limit_whose_slope_runs_away_hides_nothing():
+    """The solver ends where log x has no slope to speak of in its sizes; the optimum costs 2.5560."""
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, duration=2.0, u_bounds=(-3, 3), x_bounds=(-20, 20),
+        stage_cost=lambda x, u: ca.sumsqr(x) + 0.1 * u**2, path=lambda x: ca.log(x[0]) - 0.2,
+        guess=([0, 1], [[0.9, 0], [0.9, 0]], [[0], [0]]),
+    )  # fmt: skip
+    plan = NonlinearMPC(phase, horizon=10).solve([1.5, -2])
+    assert plan.status is not Status.SOLVED or plan.cost == pytest.approx(2.5560422, rel=1e-6)
