@@ -209,16 +209,16 @@ class LoopPlanner:
         return nearer or plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
-        """States and inputs that the solver comes to, or None.
+        """States and inputs that the solver comes to in its iterations, or None.
 
-        Whatever they are, they begin at others, unless these are no numbers.
+        They begin at others, unless these are no numbers.
         """
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
         settings = replace(self._settings, tolerance=SOLVERS)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
-        return self._trajectory(found.v)
+        return None if status_of(found) is OptimalControlStatus.STOPPED else self._trajectory(found.v)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""

@@ -14,7 +14,7 @@ from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE, WELL_SIZED
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, OPTIMAL, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE, WELL_SIZED
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -359,5 +359,6 @@ def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, A
     """
     basis, seen = np.linalg.qr(rows.T)
     own = q @ basis
-    result = DenseQP(np.eye(len(own)), seen.T, units).solve(own, bounds)
-    return basis @ (result.z + own) - q, result.multipliers, not result.infeasible
+    result = DenseQP(np.eye(len(own)), seen.T, units, second=False).solve(own, bounds)
+    solved = not result.infeasible and result.residuals.worst <= OPTIMAL
+    return basis @ (result.z + own) - q, result.multipliers, solved
