@@ -13,6 +13,7 @@ from ccdtools_ground.door import brief
 from mpc.budgets import USUAL_ITERATIONS
 from mpc.checks import Array
 from mpc.exceptions import InputError
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.program import SizedProgram
 from mpc.plan import Residuals
 from mpc.tolerances import BOTTOMLESS, FEASIBLE
@@ -35,12 +36,12 @@ class Settings:
     iterations: int  # at most
     seconds: float  # at most; infinite where there is no limit
     options: dict[str, Any]  # for Ipopt
-    each: bool = False  # whether the time is that of each call, whose solver is kept, and goes on from its last iterate
+    best: bool = True  # whether the best iterate is kept if the solver is stopped, else the last one
 
     @property
-    def may_stop(self) -> bool:
-        """Whether iterates are looked at, to keep the best if the solver is stopped."""
-        return not self.each and (self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds)))
+    def watched(self) -> bool:
+        """Whether iterates are looked at."""
+        return bool(np.isfinite(self.seconds)) or (self.best and self.iterations < USUAL_ITERATIONS)
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     with ONE_AT_A_TIME:
         solver, watch = solver_of(program, settings)
         if watch is not None:
-            watch.begin(given)
+            watch.begin(given, settings)
         result = solver(**given)
         stats = solver.stats()
     z, pushes, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
@@ -87,7 +88,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
         raise InputError("options", brief(repr(settings.options)), "options that this Ipopt accepts")
     residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     rank = _rank(float(violations.max(initial=0.0)), float(result["f"]))
-    if said not in ENDED and watch is not None and len(watch.z) and watch.rank < rank:
+    if said not in ENDED and watch is not None and watch.rank < rank:
         z = watch.z
         residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
@@ -98,17 +99,15 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
 def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
     """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
-    if np.isfinite(settings.seconds):
-        limits["max_wall_time"] = settings.seconds
     # QAMD, number 6, is for rows that are nearly full: parameters and durations reach every interval of every scenario
     given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": BOTTOMLESS, "mumps_pivot_order": 6}
     ipopt = given | limits | settings.options
     made = program.derivatives.solvers
-    key = repr((sorted(ipopt.items()), settings.may_stop)), program.limited.tobytes()
+    key = repr((sorted(ipopt.items()), settings.watched)), program.limited.tobytes()
     if key in made:
         return made[key]  # type: ignore[no-any-return]
     statement, functions = program.derivatives.scaled(program.limited)
-    watch = BestIterate(len(program.lower), len(program.limited)) if settings.may_stop else None
+    watch = BestIterate(len(program.lower), len(program.limited)) if settings.watched else None
     plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "inputs_check": False}
     own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
     try:
@@ -118,13 +117,12 @@ def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestItera
             raise
         reason = str(error).strip().splitlines()[-1]
         raise InputError("options", brief(repr(settings.options)), "options that Ipopt knows", reason) from error
-    if settings.each or not np.isfinite(settings.seconds):  # what is left of a time limit is never the same twice
-        made[key] = solver, watch
+    made[key] = solver, watch
     return solver, watch
 
 
 class BestIterate(ca.Callback):
-    """Callback that keeps the cheapest feasible iterate, else the least infeasible."""
+    """Callback that keeps the cheapest feasible iterate, else the least infeasible, and stops when the time is up."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
@@ -136,14 +134,12 @@ class BestIterate(ca.Callback):
             "lam_g": rows,
             "lam_p": 2 * (unknowns + rows) + 1,
         }
-        self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)})
         self.construct("best", {})
 
-    def begin(self, given: dict[str, Any]) -> None:
+    def begin(self, given: dict[str, Any], settings: Settings) -> None:
         """Forget what was kept."""
-        self.z = np.zeros(0)
         self.rank = (np.inf, np.inf)
-        self._sides = given["lbg"], given["ubg"]
+        self._sides, self._best, self._clock = (given["lbg"], given["ubg"]), settings.best, Clock(settings.seconds)
 
     def get_n_in(self) -> int:
         """Number of arguments, for CasADi."""
@@ -162,12 +158,14 @@ class BestIterate(ca.Callback):
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)])
 
     def eval(self, arg: Any) -> list[int]:
-        """Look at one iterate."""
+        """Look at one iterate; 1 where no more is to follow."""
+        if not self._best:  # a check, a program and a plan follow, each about as long as an iteration
+            return [int(self._clock.up_before(4))]
         f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
         rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
         if rank < self.rank:
             self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
-        return [0]
+        return [int(self._clock.up)]
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:

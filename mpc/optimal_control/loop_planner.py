@@ -73,17 +73,14 @@ class LoopPlanner:
     time_limit: float
 
     def __post_init__(self) -> None:
-        settings = self._settings
-        if np.isfinite(self.time_limit):  # made before a clock runs
-            for options in ({}, WARM):
-                solver_of(self.loop.program, replace(settings, options=options | settings.options))
-        _ = self.loop.program
+        for options in ({}, WARM):  # made before a clock runs
+            solver_of(self.loop.program, replace(self._settings, options=options | self._settings.options))
 
     @property
     def _settings(self) -> Settings:
         """Settings of every call of the solver."""
         # it would move bounds by a part of their distance from the origin
-        return replace(as_settings(1e-8, self.most, self.time_limit, {"bound_relax_factor": 0.0}), each=True)
+        return replace(as_settings(1e-8, self.most, self.time_limit, {"bound_relax_factor": 0.0}), best=False)
 
     @cached_property
     def model(self) -> DiscreteModel:
@@ -181,7 +178,7 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
-        run = Run(program, self._settings)
+        run = Run(program, self._settings, clock.began)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:
@@ -208,7 +205,8 @@ class LoopPlanner:
         nearer = None if sure else self._followed(x, given, plan, clock)
         return nearer or plan
 
-    def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
+    def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
+             clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip
         """States and inputs that the solver comes to in its iterations, or None.
 
         They begin at others, unless these are no numbers.
@@ -216,9 +214,9 @@ class LoopPlanner:
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
-        settings = replace(self._settings, tolerance=SOLVERS)
+        settings = replace(self._settings, tolerance=SOLVERS, seconds=clock.left)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
-        return None if status_of(found) is OptimalControlStatus.STOPPED else self._trajectory(found.v)
+        return None if found.said == "Maximum_Iterations_Exceeded" else self._trajectory(found.v)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""

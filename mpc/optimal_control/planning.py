@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mpc.budgets import ASIDE
+from mpc.budgets import ASIDE, LEAST_SECONDS
 from mpc.checks import Array
 from mpc.plan import Plan, Status
 from mpc.rollout import Given
@@ -34,11 +34,20 @@ class Clock:
         return time.perf_counter() - self.began > self.limit
 
     @property
+    def left(self) -> float:
+        """Time that is left for a solver."""
+        return max(self.began + self.limit - time.perf_counter(), LEAST_SECONDS)
+
+    @property
     def up(self) -> bool:
         """Whether one more program would probably end too late."""
+        return self.up_before(1)
+
+    def up_before(self, programs: int) -> bool:
+        """Whether so many more programs would probably end too late."""
         before, self.asked = self.asked, time.perf_counter()
         self.longest = max(self.longest, self.asked - before)
-        return self.asked + self.longest - self.began > self.limit
+        return self.asked + programs * self.longest - self.began > self.limit
 
     def stamped(self, plan: Plan) -> Plan:
         """Plan with its time, LATE where that was up."""

@@ -25,7 +25,7 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
     box = box_of(*law.input_rows)
 
     def given(p: Any) -> tuple[Any, ...]:
-        """p, P, units of state rows, end rows and bounds, prices."""
+        """p, P in sizes of states, units of state rows, end rows in these sizes and bounds, prices."""
         return tuple(ca.vertsplit(p, cuts))
 
     def dynamics(x: Any, u: Any, w: Any, p: Any) -> Any:
@@ -37,7 +37,7 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
         return cost + ca.dot(given(p)[5], ca.vertcat(u[nu], u[nu] ** 2)) if soft else cost
 
     def terminal_cost(x: Any, w: Any, p: Any) -> Any:
-        return ca.bilin(ca.reshape(given(p)[1], nx, nx), x[:nx] - w[nw : nw + nx])
+        return ca.bilin(ca.reshape(given(p)[1], nx, nx), (x[:nx] - w[nw : nw + nx]) / law.state_extent)
 
     def path(x: Any, u: Any, p: Any) -> Any:
         (H, h), (HU, hU) = law.state_rows, law.input_rows
@@ -47,7 +47,7 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
 
     def boundary(x: Any, p: Any) -> Any:
         _, _, _, H, h, _ = given(p)
-        return ca.reshape(H, ends, nx) @ x[:nx] - h - (x[nx] if soft else 0)
+        return ca.reshape(H, ends, nx) @ (x[:nx] / law.state_extent) - h - (x[nx] if soft else 0)
 
     low, high = (np.full(nu, -np.inf), np.full(nu, np.inf)) if box is None else box
     limited = rows > 0 or box is None
@@ -67,8 +67,9 @@ def priced(law: MPCProblem) -> int:
 def quadratic_parameters(law: MPCProblem, p: Array, prices: tuple[float, float]) -> Array:
     """Parameters of `quadratic_phase` for parameters p and prices."""
     (H, h), unit = law.terminal_rows, law.price_units["terminal"]
-    H = (H / unit[:, None]).ravel(order="F")
-    return np.concatenate([p, law.P.ravel(), law.price_units["state"], H, h / unit, prices])
+    size = law.state_extent
+    H = (H * size / unit[:, None]).ravel(order="F")
+    return np.concatenate([p, (size[:, None] * law.P * size).ravel(), law.price_units["state"], H, h / unit, prices])
 
 
 def quadratic_columns(law: MPCProblem, x: Array, states: Array, inputs: Array,

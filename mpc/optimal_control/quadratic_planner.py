@@ -51,7 +51,7 @@ class _Sample:
     size: float  # of the cost
     dear: float
     clock: Clock
-    far: bool  # whether a first path costs more than that
+    far: bool  # whether a first path costs more than that, or programs have just been given up
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,9 @@ class QuadraticPlanner:
     time_limit: float
 
     def __post_init__(self) -> None:
-        _ = self.stages, self._gains  # built, and compiled, before a clock runs
-        if np.isfinite(self.time_limit):
-            self._general((1.0, 1.0))
-            states, inputs, w = (np.zeros((self.law.horizon, self.model.step.numel_in(i))) for i in range(3))
-            self.model.curvature(states, inputs, w, self.p, states)
+        _ = self.stages, self._gains, self._general((1.0, 1.0))  # built, and compiled, before a clock runs
+        states, inputs, w = (np.zeros((self.law.horizon, self.model.step.numel_in(i))) for i in range(3))
+        self.model.curvature(states, inputs, w, self.p, states)
 
     def _general(self, prices: tuple[float, float]) -> LoopPlanner:
         """Planner of the same statement as a phase."""
@@ -120,7 +118,8 @@ class QuadraticPlanner:
             cost = cost_of(self.law, first.inputs, first.states, given)
             size = max(min(cost, most), TINY)
             dear = VIOLATION_PRICE * size
-            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
+            given_up = before is not None and before.status is Status.LATE and before.costates is None
+            sample = _Sample(x, given, first, size, dear, clock, given_up or not cost <= dear)
             found = clock.stamped(self._found(sample))
             if found.solver == REAL_TIME or found.status not in OPTIMA:
                 best = self._best(sample, found)
@@ -163,6 +162,8 @@ class QuadraticPlanner:
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)
+        if sample.clock.left < sample.clock.limit / 2:  # the solver begins the next sample
+            return replace(self._plan(sample, at, Status.LATE), costates=None, pushes=None)
         plans = [] if at.last is None else [self._plan(sample, at)]
         # a first path is the linear law's, which Ipopt need not solve again
         known = list(plans) if not follow and at.solved and at.last and at.last.strict else []
@@ -170,7 +171,8 @@ class QuadraticPlanner:
         plans += until_most_agree(chain(known, tried), self.starts)
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
-        return self._plan(sample, first, Status.REPLACED) if best is None else best
+        found = self._plan(sample, first, Status.REPLACED) if best is None else best
+        return found if found.status in OPTIMA or not sample.clock.up else replace(found, status=Status.LATE)
 
     def _plan(self, sample: _Sample, at: Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
@@ -212,7 +214,7 @@ class QuadraticPlanner:
             if sample.clock.up:
                 return
             more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
-            shot = general.near(*more, sample.size)
+            shot = general.near(*more, sample.size, sample.clock)
             if shot is None:
                 continue
             states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import as_instance, as_share, brief
-from mpc.budgets import LEAST_SECONDS, USUAL_ITERATIONS
+from mpc.budgets import USUAL_ITERATIONS
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import contradiction, violated
@@ -19,6 +19,7 @@ from mpc.optimal_control.ipopt import WARM, Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import (
     NonlinearProgram,
@@ -189,8 +190,7 @@ class Run:
 
     def left(self, warm: bool) -> Settings:
         """Settings of the next call."""
-        passed = 0.0 if self.settings.each else time.perf_counter() - self.began
-        return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
+        return replace(self.settings, seconds=Clock(self.settings.seconds, self.began).left,
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:

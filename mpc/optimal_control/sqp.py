@@ -14,7 +14,17 @@ from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, OPTIMAL, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE, WELL_SIZED
+from mpc.tolerances import (
+    COST_ROUNDING,
+    FEASIBLE,
+    KKT,
+    NEGLIGIBLE,
+    OPTIMAL,
+    PRIMAL,
+    ROUNDED_SUM,
+    VIOLATION_PRICE,
+    WELL_SIZED,
+)
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
