@@ -32,6 +32,10 @@ class WindowStatus(Outcome):
         "No optimum of the window was confirmed: the estimate is the extended Kalman filter's, which knows no limits. "
         "Check that limits on states and disturbances can hold together, and that the model is finite within them."
     )
+    HELD = (
+        "Outputs or inputs led to where the model or its slopes are not finite: they are left out of the estimate. "
+        "Look for outliers, and give an `x0` at which the model is finite."
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +220,10 @@ class MovingHorizonEstimator:
         """Belief one sample later, after inputs (n, nu)."""
         found = []
         for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
-            mean, P = self.model.predicted(window.course[-1], row, window.course[-1], window.last)
+            before = window.course[-1]
+            mean, P = self.model.predicted(before, row, before, window.last)
+            if not self.model.defined(mean, row):
+                mean, P, status = before, np.where(np.isfinite(P), P, window.last), WindowStatus.HELD
             found.append((replace(window, course=np.vstack([window.course, mean]), last=P), status))
         return self._belief(found)
 
@@ -248,9 +255,12 @@ class MovingHorizonEstimator:
         course, good = self._programs[count].solved(longer, self.tolerance)
         longer = replace(longer, course=course) if good else longer
         z, P = longer.filtered(self.model)
-        if good:
-            return replace(longer, last=P), WindowStatus.SOLVED
-        return replace(longer, course=np.vstack([longer.course[:-1], z]), last=P), WindowStatus.FILTERED
+        status = WindowStatus.SOLVED if good else WindowStatus.FILTERED
+        course = longer.course if good else np.vstack([longer.course[:-1], z])
+        if np.isfinite(P).all() and self.model.defined(course[-1], u):
+            return replace(longer, course=course, last=P), status
+        z, P = window.course[-1], window.last
+        return Window(z, P, np.full((1, self.ny), np.nan), u[None], z[None], P), WindowStatus.HELD
 
     def _belief(self, runs: list[tuple[Window, WindowStatus]]) -> MovingHorizonBelief:
         """Belief of runs: window and status of each."""

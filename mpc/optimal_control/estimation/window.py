@@ -47,6 +47,10 @@ class NoisyModel:
         value = self.h(*s.values())
         return ca.Function("seen", list(s.values()), [value, ca.vec(ca.densify(ca.jacobian(value, s["z"])))])
 
+    def defined(self, z: Array, u: Array) -> bool:
+        """Whether the model and its slopes at a point are finite."""
+        return all(part.is_regular() for part in (*self.linearised(z, u), *self.seen(z, u)))
+
     def predicted(self, at: Array, u: Array, mean: Array, P: Array) -> tuple[Array, Array]:
         """Mean (nz,) and covariance one sample later, linearised at a point."""
         f, F, G = (np.asarray(part, dtype=float).ravel() for part in self.linearised(at, u))

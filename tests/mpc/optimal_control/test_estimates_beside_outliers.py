@@ -1,0 +1,74 @@
+"""Moving-horizon estimates after outputs and inputs that lead to where a model is not finite."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpc.optimal_control.estimation import MovingHorizonEstimator
+
+NO_INPUT = np.zeros((1, 0))
+FILLING = lambda x, w: 0.95 * x + 0.05 + w  # noqa: E731
+
+
+def settled(step, output, level, outlier, window, unit=1.0):
+    """Beliefs of a level that rests, with one outlier."""
+    estimator = MovingHorizonEstimator(
+        lambda x, w: unit * step(x / unit, w / unit), lambda x: output(x / unit), 1, 0, window=window,
+        W=[1e-4 * unit**2], V=[1e-4], P0=[unit**2], x0=[0.7 * unit * level],
+    )  # fmt: skip
+    outputs = np.full(25, float(output(ca.DM(level))))
+    outputs[10] = outlier
+    belief, found = estimator.start(1), []
+    for k, y in enumerate(outputs):
+        belief = estimator.predict(belief, NO_INPUT) if k else belief
+        belief = estimator.update(belief, [[y]], NO_INPUT)
+        found.append(belief)
+    return found
+
+
+@pytest.mark.parametrize("window", [1, 2, 5])
+@pytest.mark.parametrize(
+    ("step", "output", "outlier"),
+    [
+        (FILLING, ca.sqrt, -50.0), (FILLING, ca.sqrt, -1e6), (FILLING, ca.log, -50.0),
+        (lambda x, w: x - 0.1 * ca.sqrt(x) + 0.1 + w, lambda x: x, -50.0),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("unit", [1.0, 1e6])
+def test_an_output_that_leads_to_where_the_model_is_not_finite_is_left_out(step, output, outlier, window, unit):
+    """Every later estimate was NaN."""
+    beliefs = settled(step, output, 1.0, outlier, window, unit)
+    without = settled(step, output, 1.0, np.nan, window, unit)
+    assert [belief.status[0].name for belief in beliefs] == ["SOLVED"] * 10 + ["HELD"] + ["SOLVED"] * 14
+    assert "left out" in beliefs[10].status[0].advice
+    for one, other in zip(beliefs, without):
+        np.testing.assert_allclose(one.mean, other.mean, atol=1e-4 * unit)
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=0.02)
+
+
+def test_inputs_that_lead_to_where_the_model_is_not_finite_leave_the_estimate():
+    estimator = MovingHorizonEstimator(
+        lambda x, u, w: x - 0.1 * ca.sqrt(x) + u + w, lambda x: ca.sqrt(x), 1, 1, window=3, W=[1e-4], V=[1e-4],
+        P0=[1.0], x0=[1.0],
+    )  # fmt: skip
+    before = estimator.update(estimator.start(1), [[1.0]], [[0.0]])
+    held = estimator.predict(before, [[-5.0]])
+    assert held.status[0].name == "HELD"
+    np.testing.assert_array_equal(held.mean, before.mean)
+    assert held.covariance > before.covariance
+    belief = estimator.update(held, [[np.sqrt(0.9)]], [[-5.0]])
+    for _ in range(6):
+        belief = estimator.update(estimator.predict(belief, [[0.0]]), [[0.5]], [[0.0]])
+    assert belief.status[0].name == "SOLVED"
+    np.testing.assert_allclose(belief.mean, 0.25, atol=0.05)
+
+
+def test_a_first_estimate_at_which_the_model_is_not_finite_is_held_and_said():
+    estimator = MovingHorizonEstimator(
+        lambda x, w: ca.sqrt(x) + w, lambda x: ca.sqrt(x), 1, 0, window=2, W=[1e-4], V=[1e-4], P0=[1.0], x0=[-1.0]
+    )
+    belief = estimator.start(1)
+    for _ in range(4):
+        belief = estimator.predict(estimator.update(belief, [[1.0]], NO_INPUT), NO_INPUT)
+        assert (belief.status[0].name, belief.mean.item(), belief.covariance.item()) == ("HELD", -1.0, 1.0)
+    assert "x0" in belief.status[0].advice
