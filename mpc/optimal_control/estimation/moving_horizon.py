@@ -151,6 +151,10 @@ class MovingHorizonEstimator:
         set_(self, "V", as_covariance("V", self.V, None))
         for name, size in (("x_bounds", nx), ("w_bounds", len(self.W)), ("p_bounds", count)):
             set_(self, name, as_bounds(name, getattr(self, name), size))
+        for name, limits in (("x0", "x_bounds"), ("p", "p_bounds")):
+            first, (low, high) = getattr(self, name), getattr(self, limits)
+            if ((first < low) | (first > high)).any():
+                raise InputError(name, first, f"one within {limits}, {low} to {high}")
         set_(self, "tolerance", as_share("tolerance", self.tolerance))
         _ = self.model
 

@@ -174,6 +174,20 @@ def test_wrong_statements_are_named(wrong, name):
         MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **(WALK | wrong))
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"x0": [3.0], "x_bounds": ([0], [1])}, r"x0: got \[3\.\], expected one within x_bounds, \[0\.\] to \[1\.\]"),
+        ({"x_bounds": ([1], [None])}, r"x0: got \[0\.\], expected one within x_bounds"),
+        ({"p": [-1.0], "p_bounds": ([0], [None])}, r"p: got \[-1\.\], expected one within p_bounds"),
+        ({"x0": [1.0], "x_bounds": ([0], [1])}, None),
+    ],
+)
+def test_first_estimates_outside_their_limits_are_named(given, said):
+    with pytest.raises(InputError, match=said) if said else nullcontext():
+        MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **WALK, **given)
+
+
 @pytest.mark.parametrize("y", [[[np.inf]], [[1.0, 2.0]], [[1.0], [2.0]]])
 def test_wrong_outputs_are_named(y):
     estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **WALK)
