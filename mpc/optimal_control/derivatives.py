@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import coo_array, csc_array
 
 from mpc.optimal_control.pieces import Numbers, Piece
 
@@ -21,6 +20,7 @@ class Derivatives:
         self.n = unknowns
         self.m = constraints
         self.solvers: dict[Any, Any] = {}
+        self.statements: dict[bytes, Any] = {}
         self.v = ca.MX.sym("v", unknowns)
         self.f: ca.MX = self._gathered(True)
         self.g: ca.MX = self._gathered(False)
@@ -66,9 +66,9 @@ class Derivatives:
             places.append((np.sort(pair, axis=0) if upper else pair).transpose(0, 2, 1).reshape(2, -1))
         row, column = np.hstack(places)
         cells, where = np.unique(column * shape[0] + row, return_inverse=True)  # by columns, as CasADi keeps them
-        gather = coo_array((np.ones(len(where)), (where, np.arange(len(where)))), (len(cells), len(where)))
+        gather = ca.Sparsity(len(cells), len(where), list(range(len(where) + 1)), where.tolist())
         pattern = ca.Sparsity.triplet(*shape, (cells % shape[0]).tolist(), (cells // shape[0]).tolist())
-        return ca.MX(pattern, ca.densify(ca.mtimes(ca.DM(csc_array(gather)), ca.vertcat(*parts))))
+        return ca.MX(pattern, ca.densify(ca.mtimes(ca.DM(gather, 1.0), ca.vertcat(*parts))))
 
     @cached_property
     def values(self) -> ca.Function:
@@ -106,6 +106,12 @@ class Derivatives:
         return ca.Function("hess_lag", [self.v, of_cost, multipliers], [whole])
 
     def scaled(self, kept: Any) -> tuple[Any, dict[str, ca.Function]]:
+        """Program for Ipopt with `kept` rows, made once."""
+        if kept.tobytes() not in self.statements:
+            self.statements[kept.tobytes()] = self._scaled(kept)
+        return self.statements[kept.tobytes()]  # type: ignore[no-any-return]
+
+    def _scaled(self, kept: Any) -> tuple[Any, dict[str, ca.Function]]:
         """Program in z = (v − a) / s, cost / c and `kept` rows (g − b) / r for Ipopt.
 
         Its parameters are (s, a, c, r, b): sizes change without building anew. Ipopt factorises rows without a bound,

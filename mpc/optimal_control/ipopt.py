@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,6 +64,7 @@ class Found:
 
 def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | None, settings: Settings) -> Found:
     """Solve with the program's present sizes."""
+    began = time.perf_counter()
     size, about, of_cost, kept = program.scale, program.centre, program.cost_scale, program.limited
     of_rows, rows_about = program.row_scale[kept], program.row_centre[kept]
     x0, lbx, ubx = ((side - about) / size for side in (guess, program.lower, program.upper))
@@ -77,7 +79,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     with ONE_AT_A_TIME:
         solver, watch = solver_of(program, settings)
         if watch is not None:
-            watch.begin(given, settings)
+            watch.begin(given, settings.best, Clock(settings.seconds, began))
         result = solver(**given)
         stats = solver.stats()
     z, pushes, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
@@ -136,10 +138,10 @@ class BestIterate(ca.Callback):
         }
         self.construct("best", {})
 
-    def begin(self, given: dict[str, Any], settings: Settings) -> None:
+    def begin(self, given: dict[str, Any], best: bool, clock: Clock) -> None:
         """Forget what was kept."""
         self.rank = (np.inf, np.inf)
-        self._sides, self._best, self._clock = (given["lbg"], given["ubg"]), settings.best, Clock(settings.seconds)
+        self._sides, self._best, self._clock = (given["lbg"], given["ubg"]), best, clock
 
     def get_n_in(self) -> int:
         """Number of arguments, for CasADi."""

@@ -40,12 +40,13 @@ SAID = {
     "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,
     "Maximum_WallTime_Exceeded": OptimalControlStatus.STOPPED,
     "Maximum_CpuTime_Exceeded": OptimalControlStatus.STOPPED,
-    "User_Requested_Stop": OptimalControlStatus.STOPPED,
+    "User_Requested_Stop": OptimalControlStatus.STOPPED,  # by its clock
     "Infeasible_Problem_Detected": OptimalControlStatus.INFEASIBLE,
     "Restoration_Failed": OptimalControlStatus.INFEASIBLE,
     "Invalid_Number_Detected": OptimalControlStatus.UNDEFINED,
 }
 ENDLESS = "Diverging_Iterates"
+LATE = "User_Requested_Stop"
 
 
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
@@ -220,7 +221,7 @@ class Run:
             if kept is not None and status_of(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
                 break
-            if not found.ended and status_of(found) is not OptimalControlStatus.SOLVED:
+            if found.said == LATE or (not found.ended and status_of(found) is not OptimalControlStatus.SOLVED):
                 break
             sized = rescaled(self.program, found.v, centred=True)
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])

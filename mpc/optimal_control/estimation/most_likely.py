@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from mpc.budgets import GUESSED_STEPS, LEAST_SECONDS
-from mpc.checks import Array, as_seconds
+from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.estimation.curvature import beside, downhill
 from mpc.optimal_control.estimation.information import Information, information
@@ -20,21 +20,21 @@ from mpc.optimal_control.solution import Solution
 from mpc.tolerances import NEAR_OPTIMUM
 
 
-def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array,
-                options: dict[str, Any]) -> tuple[Solution, Information | None]:  # fmt: skip
-    """Most likely solution, and what its data tell.
+def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any],
+                end: float) -> tuple[Solution, Information | None]:  # fmt: skip
+    """Most likely solution, and what its data tell, sought until the clock reads `end`.
 
     Beside a disturbance that of the parameters alone, by Newton's method: what the joint likelihood lacks enters as a
     cost of p. Where that curves downwards nothing is found.
     """
-    solves = _Solves(residual, p_size, options)
+    solves = _Solves(residual, p_size, options, end)
     solution, known = solves.minimum(problem)
     if not (problem.phases[0].inputs and problem.parameters):
         return solution, known
     spread: Spread | None = None
     best = solution
     for _ in range(GUESSED_STEPS):
-        if known is None:
+        if known is None or solves.late:
             break
         best, spread = solution, spread_of(solution, known, residual, spread)
         solution, known = solves.minimum(replace(problem, p_cost=spread), start=solution, starts=1)
@@ -46,18 +46,23 @@ def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: A
 class _Solves:
     """Solves within one time limit."""
 
-    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any]) -> None:
+    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any], end: float) -> None:
         self.residual = residual
         self.p_size = p_size
         self.options = {"intervals": 1} | options
-        self.end = time.perf_counter() + as_seconds("time_limit", options.get("time_limit"))
+        self.end = end
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return time.perf_counter() >= self.end
 
     def minimum(self, problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
         """Solution that no direction leads down from, and what data tell."""
         solution = self._refined(problem, self.options | own)
         known, move = self._looked_at(solution)
-        if move is None:
-            return solution, known
+        if move is None or self.late:
+            return solution, known if move is None else None
         anew = {name: value for name, value in self.options.items() if name != "start"}
         other = self._refined(beside(problem, solution, move), anew)
         solution = min(solution, other, key=lambda one: (not one.solved_on_mesh, one.cost))

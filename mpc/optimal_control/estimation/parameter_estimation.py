@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import as_weight
 from mpc.budgets import ASIDE, GUESSED_STEPS
-from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
@@ -79,6 +79,7 @@ def estimate_parameters(
     Bonner Mathematische Schriften 183, 1987; Biegler, *Nonlinear Programming*, SIAM 2010, chapter 10; Kristensen et
     al., "TMB: automatic differentiation and Laplace approximation", Journal of Statistical Software 70, 2016.
     """
+    end = time.perf_counter() + as_seconds("time_limit", options.get("time_limit"))
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
@@ -100,7 +101,7 @@ def estimate_parameters(
     aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, len(low)) * np.where(np.isfinite(high - low), high - low, 0)
     guess = size + aside if p_guess is None else size
 
-    def fitted(covariance: Array, unit: float | None, **options: Any) -> ParameterEstimate:
+    def fitted(covariance: Array, unit: float | None) -> ParameterEstimate:
         """Estimate at a covariance of the noise."""
         phases = [
             _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), guess), covariance,
@@ -111,18 +112,17 @@ def estimate_parameters(
             phases, p_bounds=bounds, p_guess=guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
         )
         _check_count(problem, given, 0 if unit is None else 1)
-        solution, known = most_likely(problem, residual, size, options)
+        solution, known = most_likely(problem, residual, size, options, end)
         return estimate_of(solution, given, h, known, unit)
 
     if noise is not None:
-        return fitted(as_covariance("noise", noise, ny), None, **options)
-    unit, began = SUPPOSED_NOISE * _spread(given), time.perf_counter()
-    found = fitted(unit**2 * np.eye(ny), unit, **options)
-    left, limit = found.residual_variance, options.get("time_limit")
-    rest = np.inf if limit is None else limit - (time.perf_counter() - began)
-    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2 or rest <= 0:
+        return fitted(as_covariance("noise", noise, ny), None)
+    unit = SUPPOSED_NOISE * _spread(given)
+    found = fitted(unit**2 * np.eye(ny), unit)
+    left = found.residual_variance
+    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2 or time.perf_counter() >= end:
         return found
-    again = fitted(left * np.eye(ny), float(np.sqrt(left)), **options | {"time_limit": None if limit is None else rest})
+    again = fitted(left * np.eye(ny), float(np.sqrt(left)))
     return again if again.solved else found
 
 
