@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mpc import InputError
-from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, build, refine, solve
+from mpc.optimal_control import MultipleShooting, OptimalControlProblem, Phase, Radau, build, refine, solve
 
 NAMES = [*["SOLVED", "LIMITS_PASSED", "COARSE"]]
 
@@ -65,6 +65,20 @@ def test_of_guesses_given_the_shorter_side_is_taken():
 
 
 @pytest.mark.long
+def test_a_homotopy_over_a_limit_goes_on_from_the_optimum_that_a_tighter_one_forces():
+    """A motor that is too weak to lift a pendulum at once swings it up, which is cheaper for a strong one, too."""
+    swing = Phase(
+        lambda x, u: ca.vertcat(x[1], u - 9.81 * ca.sin(x[0])), 2, 1, stage_cost=lambda u: u**2, start=[0, 0],
+        end=[np.pi, 0], duration=4.0, path=lambda u, p: ca.vertcat(u - p, -u - p),
+    )  # fmt: skip
+    program = build(OptimalControlProblem(swing, p_bounds=(0.5, 20)), Radau(3), 40)
+    found = None
+    for torque in (4, 8, 20):
+        found = solve(program, p=[torque], start=found)
+        assert found.solved
+    assert found.cost < 0.71 * solve(program, p=[20]).cost
+
+
 def test_an_optimum_on_the_longer_side_is_refined_only_if_it_may_be_better():
     ways = [([0, 0.5, 1], [[-2, 0], [0, side], [2, 0]], np.zeros((3, 2))) for side in (-2, 2)]
     both = refine(past_disc(), starts=ways)
