@@ -28,7 +28,7 @@ from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import FEASIBLE, KKT, OPTIMAL, SOLVERS, VIOLATION_PRICE as PRICE
+from mpc.tolerances import FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -140,9 +140,7 @@ class LoopPlanner:
             return None
         for times in (PRICE,) if before.status is Status.SOFTENED else (1.0, PRICE):
             path = contracted(programs(first, stated, clock, times=times), self.most)
-            if path is None or path.last is None or not path.error <= KKT:
-                return None
-            if path.last.saddle:
+            if path is None or path.last is None or not path.error <= KKT or path.last.saddle:
                 return None
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
@@ -170,7 +168,7 @@ class LoopPlanner:
         step = next_step(local, PRICE * local.force, relaxed=plan.status is Status.SOFTENED, times=PRICE)
         if not step.solved:
             return plan
-        still = min(step.error, step.size) <= OPTIMAL
+        still = min(step.error, step.size) <= KKT**0.5
         status = plan.status if still or plan.status is Status.SOFTENED else Status.INACCURATE
         on = step.multipliers
         return replace(plan, status=status, costates=on.costates[:, : len(x)].copy(), pushes=on.pushes)
