@@ -28,7 +28,7 @@ from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
+from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -293,7 +293,8 @@ class LoopPlanner:
         v, part = program.guess.copy(), program.parts[0]
         z = self.loop.states_with(states, inputs, given)
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
-        return np.clip(v, program.lower, program.upper)
+        most = BOTTOMLESS * program.scale  # where a model escapes the solver would end the process
+        return np.clip(np.clip(v, -most, most), program.lower, program.upper)
 
     def _packed(self, best: _Tried, program: NonlinearProgram, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan of a result, or the best that was reached instead."""

@@ -163,3 +163,16 @@ def test_a_limit_whose_slope_runs_away_hides_nothing():
     )  # fmt: skip
     plan = NonlinearMPC(phase, horizon=10).solve([1.5, -2])
     assert plan.status is not Status.SOLVED or plan.cost == pytest.approx(2.5560422, rel=1e-6)
+
+
+def test_a_model_that_escapes_over_the_horizon_does_not_end_the_process():
+    """Steps of Euler's rule that are too long: a concentration grows thirtyfold in every one, to 1e36."""
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * (u - x[0] * x[1]), x[1] + 0.1 * (300 - x[1] + 20 * u)), 2, 1,
+        discrete=True, duration=25, u_bounds=(0, 5), x_bounds=([0, 0], [1e6, 1e6]),
+        stage_cost=lambda x, u: (x[1] - 320) ** 2 + 0.01 * u**2,
+    )  # fmt: skip
+    controller = NonlinearMPC(phase)
+    for _ in range(2):
+        assert np.isfinite(controller([0.1, 300.0])).all()
+        assert controller.last_plans[0].status is not Status.SOLVED
