@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any
 
 import numpy as np
 
 from ccdtools_ground.door import as_number
+from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -139,7 +140,9 @@ class LoopPlanner:
         if first.multipliers is None:
             return None
         for times in (PRICE,) if before.status is Status.SOFTENED else (1.0, PRICE):
-            path = contracted(programs(first, stated, clock, times=times), self.most)
+            turned = iter(range(PROGRAMS_TO_GO))  # programs that fall linearly, after which the solver is quicker
+            tried = programs(first, stated, clock, times=times)
+            path = contracted(takewhile(lambda one: one.newton or next(turned, None) is not None, tried), self.most)
             if path is None or path.last is None or not path.error <= KKT or path.last.saddle:
                 return None
             found, first = self._optimum(path.last), path.moved

@@ -35,6 +35,11 @@ class Path:
         return np.inf if self.last is None else self.last.error
 
     @property
+    def newton(self) -> bool:
+        """Whether the Hessian of its program is the Lagrangian's."""
+        return self.last is not None and self.last.program is not None and self.last.program.on is not None
+
+    @property
     def balanced(self) -> Multipliers | None:
         """Multipliers after its program; a real-time iteration has no use for them."""
         return None if self.last is None or self.name == REAL_TIME else self.last.multipliers
