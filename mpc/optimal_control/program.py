@@ -219,7 +219,6 @@ def rescaled(
     scale[loose] = np.where(large > negligible * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     bend = program.derivatives.hessian(v, 1.0, np.zeros(len(program.row_lower))).sparse().diagonal()
-    bend = np.where(np.isfinite(bend), bend, 0.0)
     # an optimum away from all limits has no slope but rounding, which is a part of what second derivatives change
     sizes = np.maximum(np.abs(slope * scale), ROUNDED_SUM / OPTIMAL * np.abs(bend) * scale**2)
     size = float((sizes * (program.lower < program.upper))[places].max(initial=0.0))
