@@ -20,7 +20,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_along
 from mpc.optimal_control.pieces import Numbers, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Collocation, Scheme
-from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, LEAST_MOVE, NEGLIGIBLE, OPTIMAL, ROUNDED_SUM, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL, LEAST_MOVE, NEGLIGIBLE, ROUNDED_SUM, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -218,10 +218,7 @@ def rescaled(
     large = np.abs((v - centre)[loose])
     scale[loose] = np.where(large > negligible * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
-    bend = program.derivatives.hessian(v, 1.0, np.zeros(len(program.row_lower))).sparse().diagonal()
-    # an optimum away from all limits has no slope but rounding, which is a part of what second derivatives change
-    sizes = np.maximum(np.abs(slope * scale), ROUNDED_SUM / OPTIMAL * np.abs(bend) * scale**2)
-    size = float((sizes * (program.lower < program.upper))[places].max(initial=0.0))
+    size = float(np.abs(slope * scale * (program.lower < program.upper))[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
     return with_sizes_of_rows(
         replace(program, scale=scale, row_scale=row_scale, centre=centre, guess=v, cost_scale=cost_scale)

@@ -225,8 +225,7 @@ class Run:
                 break
             sized = rescaled(self.program, found.v, centred=True)
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
-            well_sized = np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED)
-            if well_sized and status_of(found) is OptimalControlStatus.SOLVED:
+            if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
             missed = found.violations * self.program.row_scale / sized.row_scale
             honest = np.array_equal(sized.centre, self.program.centre) or missed.max(initial=0.0) <= FEASIBLE
