@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import islice, takewhile
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from ccdtools_ground.door import as_number
-from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -20,7 +19,7 @@ from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
-from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs
+from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs, while_newton
 from mpc.optimal_control.phase_stages import PhaseStages
 from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.program import NonlinearProgram, rescaled
@@ -140,9 +139,7 @@ class LoopPlanner:
         if first.multipliers is None:
             return None
         for times in (PRICE,) if before.status is Status.SOFTENED else (1.0, PRICE):
-            turned = iter(range(PROGRAMS_TO_GO))  # programs that fall linearly, after which the solver is quicker
-            tried = programs(first, stated, clock, times=times)
-            path = contracted(takewhile(lambda one: one.newton or next(turned, None) is not None, tried), self.most)
+            path = contracted(while_newton(programs(first, stated, clock, times=times)), self.most)
             if path is None or path.last is None or not path.error <= KKT or path.last.saddle:
                 return None
             found, first = self._optimum(path.last), path.moved

@@ -77,6 +77,16 @@ def programs(at: Path, stated: Callable[[Array, Array], Local], clock: Clock, *,
         at = at.moved
 
 
+def while_newton(paths: Iterator[Path]) -> Iterator[Path]:
+    """Paths until `PROGRAMS_TO_GO` had other Hessians, by which errors fall linearly at best."""
+    left = PROGRAMS_TO_GO
+    for one in paths:
+        left -= not one.newton
+        if left < 0:
+            return
+        yield one
+
+
 def contracted(paths: Iterator[Path], most: int) -> Path | None:
     """Best of so many paths by programs with full steps, None without any.
 

@@ -218,7 +218,7 @@ class Run:
         for _ in range(3):
             found = once(self.program, guess, multipliers, self.left(warm))
             self.iterations += found.iterations
-            if kept is not None and status_of(found) is not OptimalControlStatus.SOLVED:
+            if kept is not None and found.said != LATE and status_of(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
                 break
             if found.said == LATE or (not found.ended and status_of(found) is not OptimalControlStatus.SOLVED):
@@ -343,7 +343,8 @@ def _held(program: NonlinearProgram, p: ArrayLike) -> NonlinearProgram:
 def status_of(found: Found) -> OptimalControlStatus:
     """Status from the solver's word and the residuals."""
     feasible = found.residuals.primal <= FEASIBLE
-    if feasible and found.residuals.worst <= OPTIMAL:
+    # its sizes may be those of a guess, by which small slopes are none, where the clock stopped the solver
+    if feasible and found.residuals.worst <= OPTIMAL and found.said != LATE:
         return OptimalControlStatus.SOLVED
     return SAID.get(found.said, OptimalControlStatus.INACCURATE if feasible else OptimalControlStatus.INFEASIBLE)
 

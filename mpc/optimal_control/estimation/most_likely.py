@@ -34,7 +34,9 @@ def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: A
     spread: Spread | None = None
     best = solution
     for _ in range(GUESSED_STEPS):
-        if known is None or solves.late:
+        if solves.late:
+            return solution, None
+        if known is None:
             break
         best, spread = solution, spread_of(solution, known, residual, spread)
         solution, known = solves.minimum(replace(problem, p_cost=spread), start=solution, starts=1)

@@ -19,6 +19,7 @@ from mpc.optimal_control.bounds import as_bounds
 from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
 from mpc.optimal_control.estimation.window import NoisyModel, Window, WindowProgram
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
+from mpc.tolerances import ROUNDED_SUM
 
 
 class WindowStatus(Outcome):
@@ -153,7 +154,7 @@ class MovingHorizonEstimator:
             set_(self, name, as_bounds(name, getattr(self, name), size))
         for name, limits in (("x0", "x_bounds"), ("p", "p_bounds")):
             first, (low, high) = getattr(self, name), getattr(self, limits)
-            if ((first < low) | (first > high)).any():
+            if (np.maximum(low - first, first - high) > ROUNDED_SUM * np.abs(first)).any():
                 raise InputError(name, first, f"one within {limits}, {low} to {high}")
         set_(self, "tolerance", as_share("tolerance", self.tolerance))
         _ = self.model
@@ -226,8 +227,9 @@ class MovingHorizonEstimator:
         for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
             before = window.course[-1]
             mean, P = self.model.predicted(before, row, before, window.last)
-            if not self.model.defined(mean, row):
-                mean, P, status = before, np.where(np.isfinite(P), P, window.last), WindowStatus.HELD
+            if not np.isfinite(mean).all():
+                mean, status = before, WindowStatus.HELD
+            P = P if np.isfinite(P).all() else window.last
             found.append((replace(window, course=np.vstack([window.course, mean]), last=P), status))
         return self._belief(found)
 
@@ -261,9 +263,11 @@ class MovingHorizonEstimator:
         z, P = longer.filtered(self.model)
         status = WindowStatus.SOLVED if good else WindowStatus.FILTERED
         course = longer.course if good else np.vstack([longer.course[:-1], z])
-        if np.isfinite(P).all() and self.model.defined(course[-1], u):
+        before = window.course[-1]
+        lost = self.model.defined(before, u, y) & ~self.model.defined(course[-1], u, y)
+        if np.isfinite(course[-1]).all() and np.isfinite(P).all() and not lost.any():
             return replace(longer, course=course, last=P), status
-        z, P = window.course[-1], window.last
+        z, P = before, window.last
         return Window(z, P, np.full((1, self.ny), np.nan), u[None], z[None], P), WindowStatus.HELD
 
     def _belief(self, runs: list[tuple[Window, WindowStatus]]) -> MovingHorizonBelief:

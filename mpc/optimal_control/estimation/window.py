@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from mpc.budgets import ASIDE, USUAL_ITERATIONS
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.functions import symbols_of
@@ -47,9 +47,11 @@ class NoisyModel:
         value = self.h(*s.values())
         return ca.Function("seen", list(s.values()), [value, ca.vec(ca.densify(ca.jacobian(value, s["z"])))])
 
-    def defined(self, z: Array, u: Array) -> bool:
-        """Whether the model and its slopes at a point are finite."""
-        return all(part.is_regular() for part in (*self.linearised(z, u), *self.seen(z, u)))
+    def defined(self, z: Array, u: Array, y: Array) -> Flags:
+        """Whether the step, and outputs (ny,) that are no NaN, have values and slopes at a point."""
+        known, (h, H) = ~np.isnan(y), (np.asarray(part, dtype=float).ravel() for part in self.seen(z, u))
+        told = np.vstack([h, H.reshape(len(z), -1)])[:, known]
+        return np.array([all(part.is_regular() for part in self.linearised(z, u)), np.isfinite(told).all()])
 
     def predicted(self, at: Array, u: Array, mean: Array, P: Array) -> tuple[Array, Array]:
         """Mean (nz,) and covariance one sample later, linearised at a point."""

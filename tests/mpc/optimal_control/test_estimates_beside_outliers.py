@@ -72,3 +72,47 @@ def test_a_first_estimate_at_which_the_model_is_not_finite_is_held_and_said():
         belief = estimator.predict(estimator.update(belief, [[1.0]], NO_INPUT), NO_INPUT)
         assert (belief.status[0].name, belief.mean.item(), belief.covariance.item()) == ("HELD", -1.0, 1.0)
     assert "x0" in belief.status[0].advice
+
+
+def test_a_state_at_which_the_model_has_a_value_with_its_own_input_alone_is_told():
+    """The estimate was held in every other sample, as the model has none with the input before."""
+    rng = np.random.default_rng(0)
+    estimator = MovingHorizonEstimator(
+        lambda x, u, w: x - ca.sqrt(x - u) + w, lambda x: x, 1, 1, window=3, W=[1e-4], V=[1e-4], P0=[1.0], x0=[4.0]
+    )
+    x, belief = 4.0, estimator.update(estimator.start(1), [[4.0]], [[3.0]])
+    for k in range(20):
+        u = x - 1 - 0.5 * (-1) ** k
+        x = x - np.sqrt(x - u)
+        belief = estimator.predict(belief, [[u]])
+        belief = estimator.update(belief, [[x + 0.01 * rng.normal()]], [[u]])
+        assert belief.status[0].name == "SOLVED"
+        assert belief.mean.item() == pytest.approx(x, abs=0.05)
+
+
+def test_an_output_that_has_no_value_is_no_trouble_where_it_is_not_measured():
+    estimator = MovingHorizonEstimator(
+        lambda x, w: 0.9 * x + w, lambda x: ca.vertcat(x, ca.log(x - 5)), 1, 0, window=2, W=[1e-2], V=[1e-2, 1e-2],
+        P0=[1.0], x0=[1.0],
+    )  # fmt: skip
+    belief = estimator.start(1)
+    for k in range(10):
+        belief = estimator.update(estimator.predict(belief, NO_INPUT) if k else belief, [[2.0, np.nan]], NO_INPUT)
+        assert belief.status[0].name != "HELD"
+    assert belief.mean.item() == pytest.approx(1.9, abs=0.1)
+
+
+def test_covariances_that_are_kept_are_whole_ones():
+    """Part of one and part of another had negative eigenvalues."""
+    estimator = MovingHorizonEstimator(
+        lambda x, w: ca.vertcat(0.1 * x[0], ca.if_else(x[0] > 0.5, ca.sqrt(x[1] - 9), x[1])) + w, lambda x: x[0], 2, 0,
+        window=1, W=np.diag([1e-6, 1e-6]), V=[1.0], P0=[[1, 0.99], [0.99, 1]], x0=[1.0, 1.0],
+    )  # fmt: skip
+    held = estimator.predict(estimator.update(estimator.start(1), [[1.0]], NO_INPUT), NO_INPUT)
+    assert held.status[0].name == "HELD"
+    assert np.linalg.eigvalsh(held.covariance[0]).min() >= 0
+
+
+def test_a_first_estimate_at_its_bound_but_for_rounding_is_taken():
+    stated = {"W": [1.0], "V": [1.0], "P0": [1.0], "window": 1}
+    MovingHorizonEstimator(FILLING, lambda x: x, 1, 0, x0=[3 * 0.1], x_bounds=([0], [0.3]), **stated)
