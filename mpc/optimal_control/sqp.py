@@ -61,20 +61,20 @@ class Step:
     @property
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
-        own, on = self.program, self.multipliers
-        if own is None or own.curves_as(on):
+        own, on, local = self.program, self.multipliers, self.local
+        if own is None or own.curves_as(local, on):
             return False
-        hessian, sizes = own.local.hessian(on), np.concatenate(own.local.sizes)
+        hessian, sizes = local.hessian(on), np.concatenate(local.sizes)
         flat = NEGLIGIBLE * (largest(sizes[:, None] * hessian * sizes) or 1.0) / sizes**2  # what costs nothing is none
-        return _program(own.local, own.dear, on, hessian + np.diag(flat), self.relaxed) is None
+        return _program(local, own.dear, on, hessian + np.diag(flat), self.relaxed) is None
 
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
-        own, on = self.program, self.multipliers
-        if own is None or own.curves_as(on):
+        own, on, local = self.program, self.multipliers, self.local
+        if own is None or own.curves_as(local, on):
             return own is not None
-        return _program(own.local, own.dear, on, relaxed=self.relaxed) is not None
+        return _program(local, own.dear, on, relaxed=self.relaxed) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +98,20 @@ class _Program:
     lost: Array
     on: Multipliers | None  # of the Lagrangian, where the Hessian is its
 
-    def curves_as(self, other: Multipliers) -> bool:
-        """Whether its Hessian is the Lagrangian's with multipliers that are hardly others."""
-        if self.on is None:
+    def curves_as(self, local: Local, on: Multipliers) -> bool:
+        """Whether its Hessian is the Lagrangian's at a plan and with multipliers that are hardly others."""
+        if self.on is None or local is not self.local and self._apart(local) > 1 / WELL_SIZED:
             return False
-        units, rows, k = self.local.sizes[0], self.local.rows.units, self.on.costates.shape[1]  # a plan carries its own
-        pairs = ((self.on.costates, other.costates[:, :k], units[:k]), (self.on.pushes, other.pushes, rows))
-        apart = max(largest((before - now) * unit) for before, now, unit in pairs)
-        size = max(largest(now * unit) for _, now, unit in pairs)
-        return apart <= size / WELL_SIZED
+        k = self.on.costates.shape[1]  # a plan carries those of its states
+        costates, most = on.costates[:, :k], np.abs(on.costates[:, :k]).max(axis=0, initial=0.0)
+        moved = np.abs(self.on.costates - costates) <= np.maximum(np.abs(costates), most / WELL_SIZED) / WELL_SIZED
+        pushed = np.abs(self.on.pushes - on.pushes) <= on.pushes / WELL_SIZED
+        return bool(moved.all() and pushed.all())
+
+    def _apart(self, local: Local) -> float:
+        """How far a plan is from its own, in sizes."""
+        states, inputs = local.states - self.local.states, local.inputs - self.local.inputs
+        return max(largest(states / local.sizes[0]), largest(inputs / local.sizes[1]))
 
     @property
     def gradient(self) -> Array:
