@@ -82,6 +82,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
             watch.begin(given, settings.best, Clock(settings.seconds, began))
         result = solver(**given)
         stats = solver.stats()
+        best, iterate = ((np.inf, np.inf), given["x0"]) if watch is None else (watch.rank, watch.z)
     z, pushes, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
     on_rows = np.zeros(len(program.row_scale))
     on_rows[kept] = pushes
@@ -90,8 +91,8 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
         raise InputError("options", brief(repr(settings.options)), "options that this Ipopt accepts")
     residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     rank = _rank(float(violations.max(initial=0.0)), float(result["f"]))
-    if said not in ENDED and watch is not None and watch.rank < rank:
-        z = watch.z
+    if said not in ENDED and best < rank:
+        z = iterate
         residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
     v = np.clip(about + z * size, program.lower, program.upper)
@@ -140,7 +141,7 @@ class BestIterate(ca.Callback):
 
     def begin(self, given: dict[str, Any], best: bool, clock: Clock) -> None:
         """Forget what was kept."""
-        self.rank = (np.inf, np.inf)
+        self.rank, self.z = (np.inf, np.inf), given["x0"]
         self._sides, self._best, self._clock = (given["lbg"], given["ubg"]), best, clock
 
     def get_n_in(self) -> int:

@@ -16,7 +16,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
-from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
+from mpc.optimal_control.ipopt import Found, Settings, once, solver_of
 from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs, while_newton
@@ -28,7 +28,7 @@ from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
+from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -72,9 +72,11 @@ class LoopPlanner:
     starts: int
     time_limit: float
 
-    def __post_init__(self) -> None:
-        for options in ({}, WARM):  # made before a clock runs
-            solver_of(self.loop.program, replace(self._settings, options=options | self._settings.options))
+    def built(self, *options: dict[str, Any]) -> LoopPlanner:
+        """Itself, with the solvers of options made before a clock runs."""
+        for own in options:
+            solver_of(self.loop.program, replace(self._settings, options=own | self._settings.options))
+        return self
 
     @property
     def _settings(self) -> Settings:
@@ -212,7 +214,7 @@ class LoopPlanner:
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
-        settings = replace(self._settings, tolerance=SOLVERS, seconds=clock.left)
+        settings = replace(self._settings, seconds=clock.left)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
         return None if found.said == "Maximum_Iterations_Exceeded" else self._trajectory(found.v)
 

@@ -20,6 +20,7 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
+from mpc.optimal_control.ipopt import WARM
 from mpc.optimal_control.loop_phase import LoopPhase, as_loop_phase
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.phase import Phase
@@ -208,8 +209,8 @@ class NonlinearMPC(Immutable):
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
         if self._loop is not None:
-            planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
-            _ = planner.stages  # made before a clock runs
+            planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit).built({}, WARM)
+            _ = planner.stages
             return planner
         return QuadraticPlanner(
             self.problem, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit

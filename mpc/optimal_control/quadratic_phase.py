@@ -64,10 +64,9 @@ def priced(law: MPCProblem) -> int:
     return int(len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0)
 
 
-def quadratic_parameters(law: MPCProblem, p: Array, prices: tuple[float, float]) -> Array:
-    """Parameters of `quadratic_phase` for parameters p and prices."""
+def quadratic_parameters(law: MPCProblem, p: Array, prices: tuple[float, float], size: Array) -> Array:
+    """Parameters of `quadratic_phase` for parameters p, prices and its sizes (nx,) of states."""
     (H, h), unit = law.terminal_rows, law.price_units["terminal"]
-    size = law.state_extent
     H = (H * size / unit[:, None]).ravel(order="F")
     return np.concatenate([p, (size[:, None] * law.P * size).ravel(), law.price_units["state"], H, h / unit, prices])
 

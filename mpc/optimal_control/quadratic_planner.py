@@ -51,7 +51,7 @@ class _Sample:
     size: float  # of the cost
     dear: float
     clock: Clock
-    far: bool  # whether a first path costs more than that, or programs have just been given up
+    far: bool  # whether a first path costs more than that
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +71,15 @@ class QuadraticPlanner:
     time_limit: float
 
     def __post_init__(self) -> None:
-        _ = self.stages, self._gains, self._general((1.0, 1.0))  # built, and compiled, before a clock runs
+        _ = self.stages, self._gains, self._general((1.0, 1.0)).built({})  # and compiled, before a clock runs
         states, inputs, w = (np.zeros((self.law.horizon, self.model.step.numel_in(i))) for i in range(3))
         self.model.curvature(states, inputs, w, self.p, states)
 
     def _general(self, prices: tuple[float, float]) -> LoopPlanner:
         """Planner of the same statement as a phase."""
-        p = quadratic_parameters(self.law, self.p, prices)
-        return LoopPlanner(self.model.loop(self.law, self.p), p, self.most, 1, self.time_limit)
+        loop = self.model.loop(self.law, self.p)
+        p = quadratic_parameters(self.law, self.p, prices, loop.sizes[: self.law.nx])
+        return LoopPlanner(loop, p, self.most, 1, self.time_limit)
 
     @cached_property
     def stages(self) -> QuadraticStages:
@@ -118,8 +119,7 @@ class QuadraticPlanner:
             cost = cost_of(self.law, first.inputs, first.states, given)
             size = max(min(cost, most), TINY)
             dear = VIOLATION_PRICE * size
-            given_up = before is not None and before.status is Status.LATE and before.costates is None
-            sample = _Sample(x, given, first, size, dear, clock, given_up or not cost <= dear)
+            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
             found = clock.stamped(self._found(sample))
             if found.solver == REAL_TIME or found.status not in OPTIMA:
                 best = self._best(sample, found)
@@ -156,14 +156,14 @@ class QuadraticPlanner:
         if sample.clock.up:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
-        enough = not self._law_does_better(sample, at) if follow else stayed
-        # it may be a saddle, to which no plan beside it comes back
+        enough = not self._cheaper(sample, self._linear_law(sample.x, sample.given), at) if follow else stayed
+        # it may be a saddle, to which plans beside it need not come back
         if at.solved and sample.size > TINY and not (at.last and at.last.strict):
-            at = self._contracted(sample, self._aside(at))
+            beside = self._followed(sample.x, replace(self._aside(at), gains=None), sample.given)
+            left, at = at, self._contracted(sample, beside)
+            enough = enough and not (self._cheaper(sample, at, left) or (at.last and at.last.saddle))
         if at.solved and enough:
             return self._plan(sample, at)
-        if sample.clock.left < sample.clock.limit / 2:  # the solver begins the next sample
-            return replace(self._plan(sample, at, Status.LATE), costates=None, pushes=None)
         plans = [] if at.last is None else [self._plan(sample, at)]
         # a first path is the linear law's, which Ipopt need not solve again
         known = list(plans) if not follow and at.solved and at.last and at.last.strict else []
@@ -253,11 +253,10 @@ class QuadraticPlanner:
         """Path with inputs that break its symmetries."""
         return replace(path, inputs=aside(path.inputs, self.stages.sizes[1]))
 
-    def _law_does_better(self, sample: _Sample, at: Path) -> bool:
-        """Whether the linear law, simulated, costs less than a plan."""
-        law = self._total(self._linear_law(sample.x, sample.given), sample.given, sample.dear)
-        own = self._total(at, sample.given, sample.dear)
-        return law < own - COST_ROUNDING * abs(own) - rounding_of_cost(self.law, sample.given)
+    def _cheaper(self, sample: _Sample, other: Path, at: Path) -> bool:
+        """Whether another path costs less, by more than rounding."""
+        less, own = (self._total(one, sample.given, sample.dear) for one in (other, at))
+        return less < own - COST_ROUNDING * abs(own) - rounding_of_cost(self.law, sample.given)
 
     def _total(self, path: Path | Plan, given: Given, price: float) -> float:
         """Cost with violations of hard limits at a price; infinite where it is no number."""

@@ -194,6 +194,11 @@ class Run:
         return replace(self.settings, seconds=Clock(self.settings.seconds, self.began).left,
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
+    @property
+    def _late(self) -> bool:
+        """Whether the time is up."""
+        return Clock(self.settings.seconds, self.began).late
+
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where sizes were off, or bounds that are never met told them and that changes the cost."""
         found = self._sized(guess, multipliers, warm)
@@ -202,6 +207,8 @@ class Run:
         loose, kept = rescaled(self.program, found.v, centred=True, unbounded=True), self.program
         if np.abs(np.log(loose.scale / kept.scale)).max(initial=0.0) < np.log(WELL_SIZED):
             return found
+        if self._late:
+            return replace(found, said=LATE)
         self.program = loose
         other, cost = self._sized(found.v, None, warm=False), self.cost(found)
         apart = abs(self.cost(other) - cost) > COST_ROUNDING * max(abs(cost), loose.cost_scale)
@@ -227,6 +234,8 @@ class Run:
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
+            if self._late:
+                return replace(found, said=LATE)
             missed = found.violations * self.program.row_scale / sized.row_scale
             honest = np.array_equal(sized.centre, self.program.centre) or missed.max(initial=0.0) <= FEASIBLE
             if status_of(found) is OptimalControlStatus.SOLVED and honest:
