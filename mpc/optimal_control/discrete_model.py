@@ -81,7 +81,10 @@ class DiscreteModel:
         if key not in self._loops:
             soft = np.zeros(priced(law))
             limit = None if law.rate_limit is None else np.append(law.rate_limit, soft + np.inf)
-            p, sizes = quadratic_parameters(law, p, (1.0, 1.0), law.state_extent), np.append(law.state_extent, soft + 1.0)
+            p, sizes = (
+                quadratic_parameters(law, p, (1.0, 1.0), law.state_extent),
+                np.append(law.state_extent, soft + 1.0),
+            )
             self._loops[key] = LoopPhase(quadratic_phase(law, self.step), law.horizon, p, limit, sizes)
         return self._loops[key]
 

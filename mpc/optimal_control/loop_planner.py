@@ -28,7 +28,7 @@ from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, VIOLATION_PRICE as PRICE
+from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE, WELL_SIZED
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -72,17 +72,22 @@ class LoopPlanner:
     starts: int
     time_limit: float
 
-    def built(self, *options: dict[str, Any]) -> LoopPlanner:
-        """Itself, with the solvers of options made before a clock runs."""
-        for own in options:
-            solver_of(self.loop.program, replace(self._settings, options=own | self._settings.options))
+    def built(self, *settings: Settings) -> LoopPlanner:
+        """Itself, with the solvers of settings made before a clock runs."""
+        for own in settings:
+            solver_of(self.loop.program, own)
         return self
 
     @property
-    def _settings(self) -> Settings:
+    def settings(self) -> Settings:
         """Settings of every call of the solver."""
         # it would move bounds by a part of their distance from the origin
         return replace(as_settings(1e-8, self.most, self.time_limit, {"bound_relax_factor": 0.0}), best=False)
+
+    @property
+    def to_begin(self) -> Settings:
+        """Settings of starts for programs."""
+        return replace(self.settings, tolerance=SOLVERS)
 
     @cached_property
     def model(self) -> DiscreteModel:
@@ -178,7 +183,7 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
-        run = Run(program, self._settings, clock.began)
+        run = Run(program, self.settings, clock.began)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:
@@ -207,16 +212,16 @@ class LoopPlanner:
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
              clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip
-        """States and inputs that the solver comes to in its iterations, or None.
+        """States and inputs that the solver comes to, or None where gaps are left that programs would not close.
 
         They begin at others, unless these are no numbers.
         """
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
-        settings = replace(self._settings, seconds=clock.left)
+        settings = replace(self.to_begin, seconds=clock.left)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
-        return None if found.said == "Maximum_Iterations_Exceeded" else self._trajectory(found.v)
+        return None if found.residuals.primal > 1 / WELL_SIZED else self._trajectory(found.v)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""

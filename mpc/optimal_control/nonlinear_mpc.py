@@ -209,9 +209,9 @@ class NonlinearMPC(Immutable):
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
         if self._loop is not None:
-            planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit).built({}, WARM)
+            planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
             _ = planner.stages
-            return planner
+            return planner.built(planner.settings, replace(planner.settings, options=WARM | planner.settings.options))
         return QuadraticPlanner(
             self.problem, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
         )

@@ -71,13 +71,15 @@ class QuadraticPlanner:
     time_limit: float
 
     def __post_init__(self) -> None:
-        _ = self.stages, self._gains, self._general((1.0, 1.0)).built({})  # and compiled, before a clock runs
+        general = self._general((1.0, 1.0))
+        _ = self.stages, self._gains, general.built(general.to_begin)  # and compiled, before a clock runs
         states, inputs, w = (np.zeros((self.law.horizon, self.model.step.numel_in(i))) for i in range(3))
         self.model.curvature(states, inputs, w, self.p, states)
 
     def _general(self, prices: tuple[float, float]) -> LoopPlanner:
         """Planner of the same statement as a phase."""
         loop = self.model.loop(self.law, self.p)
+        assert loop.sizes is not None  # it has been given them
         p = quadratic_parameters(self.law, self.p, prices, loop.sizes[: self.law.nx])
         return LoopPlanner(loop, p, self.most, 1, self.time_limit)
 

@@ -100,7 +100,7 @@ class _Program:
 
     def curves_as(self, local: Local, on: Multipliers) -> bool:
         """Whether its Hessian is the Lagrangian's at a plan and with multipliers that are hardly others."""
-        if self.on is None or local is not self.local and self._apart(local) > 1 / WELL_SIZED:
+        if self.on is None or (local is not self.local and self._apart(local) > 1 / WELL_SIZED):
             return False
         k = self.on.costates.shape[1]  # a plan carries those of its states
         costates, most = on.costates[:, :k], np.abs(on.costates[:, :k]).max(axis=0, initial=0.0)

@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from ccdtools_ground.door import as_share
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.checks import Array, Flags, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_bounds
 from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
@@ -227,7 +227,8 @@ class MovingHorizonEstimator:
         for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
             before = window.course[-1]
             mean, P = self.model.predicted(before, row, before, window.last)
-            if not np.isfinite(mean).all():
+            lost = self._lost(before, mean, row, window.outputs[-1])
+            if not np.isfinite(mean).all() or lost[1]:
                 mean, status = before, WindowStatus.HELD
             P = P if np.isfinite(P).all() else window.last
             found.append((replace(window, course=np.vstack([window.course, mean]), last=P), status))
@@ -264,11 +265,15 @@ class MovingHorizonEstimator:
         status = WindowStatus.SOLVED if good else WindowStatus.FILTERED
         course = longer.course if good else np.vstack([longer.course[:-1], z])
         before = window.course[-1]
-        lost = self.model.defined(before, u, y) & ~self.model.defined(course[-1], u, y)
-        if np.isfinite(course[-1]).all() and np.isfinite(P).all() and not lost.any():
+        lost = self._lost(before, course[-1], u, y).any()
+        if np.isfinite(course[-1]).all() and np.isfinite(P).all() and not lost:
             return replace(longer, course=course, last=P), status
         z, P = before, window.last
         return Window(z, P, np.full((1, self.ny), np.nan), u[None], z[None], P), WindowStatus.HELD
+
+    def _lost(self, before: Array, after: Array, u: Array, y: Array) -> Flags:
+        """Whether the step, and outputs that are measured, have values at one point and none at another."""
+        return self.model.defined(before, u, y) & ~self.model.defined(after, u, y)
 
     def _belief(self, runs: list[tuple[Window, WindowStatus]]) -> MovingHorizonBelief:
         """Belief of runs: window and status of each."""

@@ -176,3 +176,57 @@ def test_a_model_that_escapes_over_the_horizon_does_not_end_the_process():
     for _ in range(2):
         assert np.isfinite(controller([0.1, 300.0])).all()
         assert controller.last_plans[0].status is not Status.SOLVED
+
+
+@pytest.mark.parametrize("load", [1.0, 10.0])
+@pytest.mark.parametrize("pull", [3.2, 4.0])
+def test_a_plan_before_a_disc_is_left_when_the_pull_changes_though_another_costate_is_larger(load, pull):
+    """A state that nothing moves has the largest multiplier, which hid that the disc's had changed."""
+
+    def cost(x, w):
+        return -w * x[0] + 0.5 * x[0] ** 2 + x[1] ** 2
+
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + u[0], x[1] + u[1], x[2]), 3, 2, discrete=True, duration=8,
+        stage_cost=lambda x, u, w: cost(x, w) + 0.2 * ca.sumsqr(u) + load * (x[2] - 1) ** 2, terminal_cost=cost,
+        u_bounds=(-0.5, 0.5), path=lambda x: (x[0] - 2) ** 2 + x[1] ** 2, path_bounds=(1, np.inf),
+        signal=np.zeros((9, 1)),
+    )  # fmt: skip
+    controller = NonlinearMPC(phase)
+    before = controller.solve([1, 0, 0], w=[1.5])
+    assert np.abs(before.states[:, 1]).max() < 1e-6
+    found = controller.solve([1, 0, 0], start=before, w=[pull])
+    assert found.status is Status.SOLVED
+    assert found.cost == pytest.approx(controller.solve([1, 0, 0], w=[pull]).cost, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("step", "sizes", "weights", "start", "best"),
+    [
+        (lambda x, u: ca.vertcat(x[0] + u[0], x[1] + u[1], x[0] * x[1] ** 2), (3, 2), ([1, 0.3, 1], [0.1, 0.1], 6, 5),
+         ([-2, 0, -1], [1, 0.3, 1]), 7.178214),
+        (lambda x, u: ca.vertcat(x[0] + 0.2 * (ca.cos(x[1]) - 1), x[1] + 0.2 * x[2], x[2] + 0.2 * u), (3, 1),
+         ([1, 0.02, 0.02], [0.02], 20, 2), ([-3, 0, 0], [10, 0.02, 0.02]), 95.5545),
+    ],
+    ids=["product", "heading"],
+)  # fmt: skip
+def test_a_symmetrical_start_is_no_trap_for_weights(step, sizes, weights, start, best):
+    """Inputs moved aside along states that were not are taken back, so that saddles at twice the cost were SOLVED."""
+    (Q, R, N, limit), (x_ref, P) = weights, start
+    controller = NonlinearMPC(step, *sizes, Q=np.diag(Q), R=np.diag(R), P=np.diag(P), horizon=N, U=(-limit, limit))
+    plan = controller.solve([0, 0, 0], x_ref=x_ref)
+    assert plan.status is Status.SOLVED
+    assert plan.cost == pytest.approx(best, rel=1e-5)
+
+
+def test_other_parameters_have_the_terminal_cost_that_is_theirs():
+    """Sizes of states follow the parameters where there is no X; the statement for Ipopt took those of the first."""
+
+    def controller(p):
+        return NonlinearMPC(
+            lambda x, u, p: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (p * u - 3 * ca.sin(3 * x[0]))), 2, 1, p=[p],
+            Q=np.diag([1, 0.1]), R=0.01 * 1e6, horizon=25, U=(-2e-3, 2e-3),
+        )  # fmt: skip
+
+    other = controller(1.0).with_parameters([1e3])
+    assert other.solve([4.2, 0]).cost == pytest.approx(controller(1e3).solve([4.2, 0]).cost, rel=1e-6)

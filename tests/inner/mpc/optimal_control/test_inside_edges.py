@@ -85,8 +85,6 @@ def test_a_violation_costs_a_hundred_times_what_the_other_plan_does(violation, c
 @pytest.mark.parametrize(("less", "better"), [(3e-7, False), (3e-6, True)])
 def test_a_law_does_better_than_a_plan_by_more_than_rounding(less, better, monkeypatch):
     monkeypatch.setattr("mpc.optimal_control.quadratic_planner.rounding_of_cost", lambda law, given: 0.0)
-    planner = SimpleNamespace(
-        law=None, _linear_law=lambda *a: "law", _total=lambda path, given, price: 5.0 - 5 * less * (path == "law")
-    )
+    planner = SimpleNamespace(law=None, _total=lambda path, given, price: 5.0 - 5 * less * (path == "law"))
     sample = SimpleNamespace(x=None, given=None, dear=None)
-    assert QuadraticPlanner._law_does_better(planner, sample, "plan") == better
+    assert QuadraticPlanner._cheaper(planner, sample, "law", "plan") == better
