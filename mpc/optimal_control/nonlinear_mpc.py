@@ -76,8 +76,8 @@ class NonlinearMPC(Immutable):
         They are that of the linear law, the straight way to the reference, the state held, then inputs by chance. They
         are tried again where a plan that is followed leads to no optimum, or to a worse one than the linear law's.
     time_limit : float, optional
-        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops by itself after as
-        long; the plan is then `LATE`, and the next sample goes on from it.
+        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops where an iteration
+        and what follows would; the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------
