@@ -37,7 +37,7 @@ class Path:
     @property
     def newton(self) -> bool:
         """Whether the Hessian of its program is the Lagrangian's."""
-        return self.last is not None and self.last.program is not None and self.last.program.on is not None
+        return self.last is not None and self.last.program is not None and self.last.program.of is not None
 
     @property
     def balanced(self) -> Multipliers | None:

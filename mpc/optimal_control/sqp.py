@@ -14,17 +14,7 @@ from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
 from mpc.plan import Plan
-from mpc.tolerances import (
-    COST_ROUNDING,
-    FEASIBLE,
-    KKT,
-    NEGLIGIBLE,
-    OPTIMAL,
-    PRIMAL,
-    ROUNDED_SUM,
-    VIOLATION_PRICE,
-    WELL_SIZED,
-)
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, OPTIMAL, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -96,22 +86,20 @@ class _Program:
     by_state: Array
     by_input: Array
     lost: Array
-    on: Multipliers | None  # of the Lagrangian, where the Hessian is its
+    of: tuple[Local, Multipliers] | None  # plan and multipliers of the Hessian, where it is the Lagrangian's
 
     def curves_as(self, local: Local, on: Multipliers) -> bool:
         """Whether its Hessian is the Lagrangian's at a plan and with multipliers that are hardly others."""
-        if self.on is None or (local is not self.local and self._apart(local) > 1 / WELL_SIZED):
+        if self.of is None:
             return False
-        k = self.on.costates.shape[1]  # a plan carries those of its states
-        costates, most = on.costates[:, :k], np.abs(on.costates[:, :k]).max(axis=0, initial=0.0)
-        moved = np.abs(self.on.costates - costates) <= np.maximum(np.abs(costates), most / WELL_SIZED) / WELL_SIZED
-        pushed = np.abs(self.on.pushes - on.pushes) <= on.pushes / WELL_SIZED
-        return bool(moved.all() and pushed.all())
-
-    def _apart(self, local: Local) -> float:
-        """How far a plan is from its own, in sizes."""
-        states, inputs = local.states - self.local.states, local.inputs - self.local.inputs
-        return max(largest(states / local.sizes[0]), largest(inputs / local.sizes[1]))
+        plan, before = self.of
+        k = before.costates.shape[1]  # a plan carries those of its states
+        size = np.abs(on.costates[:, :k]).max(axis=0, initial=0.0)
+        pairs = (
+            (plan.states, local.states, local.sizes[0]), (plan.inputs, local.inputs, local.sizes[1]),
+            (before.costates, on.costates[:, :k], size), (before.pushes, on.pushes, on.pushes),
+        )  # fmt: skip
+        return all((np.abs(now - then) <= KKT**0.5 * unit).all() for then, now, unit in pairs)
 
     @property
     def gradient(self) -> Array:
@@ -170,14 +158,15 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     finite = all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input))
     if not finite or np.isnan(local.room).any():
         return failed
-    hessian = None
+    hessian, of = None, None
     if last is not None and multipliers is not None:
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
-        if last.program is not None and last.program.on is not None and confirmed.error <= (KKT * last.error) ** 0.5:
-            hessian = last.program.hessian  # falling as before, the error will be gone with the same one
-    newton = None if multipliers is None else _program(local, dear, multipliers, hessian, relaxed)
+        if last.program is not None and last.program.of is not None and confirmed.error <= (KKT * last.error) ** 0.5:
+            # falling as before, the error will be gone with the same one
+            hessian, of = last.program.hessian, last.program.of
+    newton = None if multipliers is None else _program(local, dear, multipliers, hessian, relaxed, of)
     program = newton or _program(local, dear, None)
     if program is None:
         return failed
@@ -255,8 +244,11 @@ def _held(local: Local, dear: float, pushes: Array, relaxed: bool) -> Array:
 
 
 def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian: Array | None = None,
-             relaxed: bool = False) -> _Program | None:  # fmt: skip
-    """Program about v = 0, None where it is not convex."""
+             relaxed: bool = False, of: tuple[Local, Multipliers] | None = None) -> _Program | None:  # fmt: skip
+    """Program about v = 0, None where it is not convex.
+
+    A Hessian that is given may be `of` another plan and its multipliers.
+    """
     A, B, gaps, first = local.about
     held, rows = np.zeros(len(local.room)), local.rows
     if multipliers is not None:
@@ -285,9 +277,8 @@ def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian
     by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    return _Program(
-        local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, multipliers
-    )
+    own_of = of or (None if multipliers is None else (local, multipliers))
+    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, own_of)
 
 
 def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
