@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -99,6 +99,16 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
+def looked_at(program: SizedProgram, found: Found) -> Found:
+    """Result with the residuals that it has in other sizes."""
+    z, lower, upper = ((v - program.centre) / program.scale for v in (found.v, program.lower, program.upper))
+    on = found.multipliers["rows"] * program.row_scale, found.multipliers["bounds"] * program.scale
+    residuals, violations = _checked(
+        program, z, *(one / program.cost_scale for one in on), {"lbx": lower, "ubx": upper}
+    )
+    return replace(found, residuals=residuals, violations=violations)
+
+
 def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
     """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
@@ -141,7 +151,7 @@ class BestIterate(ca.Callback):
 
     def begin(self, given: dict[str, Any], best: bool, clock: Clock) -> None:
         """Forget what was kept."""
-        self.rank, self.z = (np.inf, np.inf), given["x0"]
+        self.rank, self.z, self._first = (np.inf, np.inf), given["x0"], True
         self._sides, self._best, self._clock = (given["lbg"], given["ubg"]), best, clock
 
     def get_n_in(self) -> int:
@@ -162,6 +172,8 @@ class BestIterate(ca.Callback):
 
     def eval(self, arg: Any) -> list[int]:
         """Look at one iterate; 1 where no more is to follow."""
+        if self._first:  # what was before is no iteration
+            self._first, self._clock = False, Clock(self._clock.limit, self._clock.began)
         if not self._best:  # a check, a program and a plan follow, each about as long as an iteration
             return [int(self._clock.up_before(4))]
         f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()

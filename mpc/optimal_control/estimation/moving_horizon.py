@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from ccdtools_ground.door import as_share
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, Flags, as_array, as_count, as_floats
+from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_bounds
 from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
@@ -216,8 +216,8 @@ class MovingHorizonEstimator:
     def start(self, n: int) -> MovingHorizonBelief:
         """Belief of n runs before the first measurement."""
         z = np.concatenate([self.x0, self.p])
-        none = Window(z, self._first_covariance, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None],
-                      self._first_covariance)  # fmt: skip
+        P = self._first_covariance
+        none = Window(z, P, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None], P, (z, P))
         count = as_count("n", n)
         return self._belief([(none, WindowStatus.SOLVED)] * count)
 
@@ -225,14 +225,21 @@ class MovingHorizonEstimator:
         """Belief one sample later, after inputs (n, nu)."""
         found = []
         for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
+            y, (mean, P) = window.outputs[-1], self._after(window, row)
+            if not np.isfinite(mean).all():  # where the last outputs led
+                window, status = window.left_out(), WindowStatus.HELD
+                mean, P = self._after(window, row)
             before = window.course[-1]
-            mean, P = self.model.predicted(before, row, before, window.last)
-            lost = self._lost(before, mean, row, window.outputs[-1])
-            if not np.isfinite(mean).all() or lost[1]:
+            if not np.isfinite(mean).all() or self.model.told(before, row, y) > self.model.told(mean, row, y):
                 mean, status = before, WindowStatus.HELD
             P = P if np.isfinite(P).all() else window.last
-            found.append((replace(window, course=np.vstack([window.course, mean]), last=P), status))
+            ahead = replace(window, course=np.vstack([window.course, mean]), last=P, foretold=(mean, P))
+            found.append((ahead, status))
         return self._belief(found)
+
+    def _after(self, window: Window, u: Array) -> tuple[Array, Array]:
+        """Mean and covariance one sample later."""
+        return self.model.predicted(window.course[-1], u, window.course[-1], window.last)
 
     def update(self, belief: MovingHorizonBelief, y: ArrayLike, u: ArrayLike) -> MovingHorizonBelief:
         """Belief after outputs (n, ny), or NaN, of inputs (n, nu)."""
@@ -264,16 +271,10 @@ class MovingHorizonEstimator:
         z, P = longer.filtered(self.model)
         status = WindowStatus.SOLVED if good else WindowStatus.FILTERED
         course = longer.course if good else np.vstack([longer.course[:-1], z])
-        before = window.course[-1]
-        lost = self._lost(before, course[-1], u, y).any()
+        lost = self.model.told(window.course[-1], u, y) > self.model.told(course[-1], u, y)
         if np.isfinite(course[-1]).all() and np.isfinite(P).all() and not lost:
             return replace(longer, course=course, last=P), status
-        z, P = before, window.last
-        return Window(z, P, np.full((1, self.ny), np.nan), u[None], z[None], P), WindowStatus.HELD
-
-    def _lost(self, before: Array, after: Array, u: Array, y: Array) -> Flags:
-        """Whether the step, and outputs that are measured, have values at one point and none at another."""
-        return self.model.defined(before, u, y) & ~self.model.defined(after, u, y)
+        return longer.left_out(), WindowStatus.HELD
 
     def _belief(self, runs: list[tuple[Window, WindowStatus]]) -> MovingHorizonBelief:
         """Belief of runs: window and status of each."""

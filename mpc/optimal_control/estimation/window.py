@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from mpc.budgets import ASIDE, USUAL_ITERATIONS
-from mpc.checks import Array, Flags
+from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.functions import symbols_of
@@ -47,11 +47,10 @@ class NoisyModel:
         value = self.h(*s.values())
         return ca.Function("seen", list(s.values()), [value, ca.vec(ca.densify(ca.jacobian(value, s["z"])))])
 
-    def defined(self, z: Array, u: Array, y: Array) -> Flags:
-        """Whether the step, and outputs (ny,) that are no NaN, have values and slopes at a point."""
+    def told(self, z: Array, u: Array, y: Array) -> bool:
+        """Whether outputs (ny,) that are no NaN have values and slopes at a point."""
         known, (h, H) = ~np.isnan(y), (np.asarray(part, dtype=float).ravel() for part in self.seen(z, u))
-        told = np.vstack([h, H.reshape(len(z), -1)])[:, known]
-        return np.array([all(part.is_regular() for part in self.linearised(z, u)), np.isfinite(told).all()])
+        return bool(np.isfinite(np.vstack([h, H.reshape(len(z), -1)])[:, known]).all())
 
     def predicted(self, at: Array, u: Array, mean: Array, P: Array) -> tuple[Array, Array]:
         """Mean (nz,) and covariance one sample later, linearised at a point."""
@@ -83,12 +82,19 @@ class Window:
     inputs: Array  # (k, nu): held until each sample
     course: Array  # (k, nz): most likely z
     last: Array  # (nz, nz): covariance of z at the last sample
+    foretold: tuple[Array, Array]  # mean and covariance of z at the last sample, before its outputs
+
+    def left_out(self) -> Window:
+        """Window that begins with the last sample, without its outputs."""
+        z, P = self.foretold
+        return Window(z, P, np.full_like(self.outputs[-1:], np.nan), self.inputs[-1:], z[None], P, self.foretold)
 
     def shortened(self, model: NoisyModel) -> Window:
         """Window without its first sample, which mean and covariance take in."""
         first = model.updated(self.course[0], self.inputs[0], self.outputs[0], self.mean, self.covariance)
         mean, P = model.predicted(self.course[0], self.inputs[1], *first)
-        return Window(mean, P, self.outputs[1:], self.inputs[1:], self.course[1:], self.last)
+        return replace(self, mean=mean, covariance=P, outputs=self.outputs[1:], inputs=self.inputs[1:],
+                       course=self.course[1:])  # fmt: skip
 
     def filtered(self, model: NoisyModel) -> tuple[Array, Array]:
         """Mean and covariance at the last sample by the extended Kalman filter."""

@@ -31,7 +31,6 @@ def settled(step, output, level, outlier, window, unit=1.0):
     ("step", "output", "outlier"),
     [
         (FILLING, ca.sqrt, -50.0), (FILLING, ca.sqrt, -1e6), (FILLING, ca.log, -50.0),
-        (lambda x, w: x - 0.1 * ca.sqrt(x) + 0.1 + w, lambda x: x, -50.0),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("unit", [1.0, 1e6])
@@ -44,6 +43,17 @@ def test_an_output_that_leads_to_where_the_model_is_not_finite_is_left_out(step,
     for one, other in zip(beliefs, without):
         np.testing.assert_allclose(one.mean, other.mean, atol=1e-4 * unit)
         np.testing.assert_allclose(one.covariance, other.covariance, rtol=0.02)
+
+
+@pytest.mark.parametrize("window", [1, 2, 5])
+def test_outputs_that_lead_to_where_the_step_has_no_value_are_left_out_of_its_prediction(window):
+    emptying = lambda x, w: x - 0.1 * ca.sqrt(x) + 0.1 + w  # noqa: E731
+    beliefs = settled(emptying, lambda x: x, 1.0, -50.0, window)
+    without = settled(emptying, lambda x: x, 1.0, np.nan, window)
+    assert beliefs[10].mean < 0  # as any output that a model can explain
+    for one, other in zip(beliefs[11:], without[11:]):
+        assert one.status[0].name == "SOLVED"
+        np.testing.assert_allclose(one.mean, other.mean, atol=1e-4)
 
 
 def test_inputs_that_lead_to_where_the_model_is_not_finite_leave_the_estimate():
