@@ -102,10 +102,11 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
 def looked_at(program: SizedProgram, found: Found) -> Found:
     """Result with the residuals that it has in other sizes."""
     z, lower, upper = ((v - program.centre) / program.scale for v in (found.v, program.lower, program.upper))
-    on = found.multipliers["rows"] * program.row_scale, found.multipliers["bounds"] * program.scale
-    residuals, violations = _checked(
-        program, z, *(one / program.cost_scale for one in on), {"lbx": lower, "ubx": upper}
+    on_rows, on_bounds = (
+        found.multipliers[name] * size / program.cost_scale
+        for name, size in (("rows", program.row_scale), ("bounds", program.scale))
     )
+    residuals, violations = _checked(program, z, on_rows, on_bounds, {"lbx": lower, "ubx": upper})
     return replace(found, residuals=residuals, violations=violations)
 
 
@@ -174,8 +175,8 @@ class BestIterate(ca.Callback):
         """Look at one iterate; 1 where no more is to follow."""
         if self._first:  # what was before is no iteration
             self._first, self._clock = False, Clock(self._clock.limit, self._clock.began)
-        if not self._best:  # a check, a program and a plan follow, each about as long as an iteration
-            return [int(self._clock.up_before(4))]
+        if not self._best:
+            return [int(self._clock.up)]
         f, g = float(arg[1]), np.asarray(arg[2], dtype=float).ravel()
         rank = _rank(np.maximum(self._sides[0] - g, g - self._sides[1]).max(initial=0.0), f)
         if rank < self.rank:

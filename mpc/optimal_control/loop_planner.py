@@ -183,7 +183,7 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
-        run = Run(program, self.settings, clock.began)
+        run = Run(program, self.settings)  # by less time a plan that is late might never become one to follow
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:

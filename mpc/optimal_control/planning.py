@@ -41,13 +41,9 @@ class Clock:
     @property
     def up(self) -> bool:
         """Whether one more program would probably end too late."""
-        return self.up_before(1)
-
-    def up_before(self, programs: int) -> bool:
-        """Whether so many more programs would probably end too late."""
         before, self.asked = self.asked, time.perf_counter()
         self.longest = max(self.longest, self.asked - before)
-        return self.asked + programs * self.longest - self.began > self.limit
+        return self.asked + self.longest - self.began > self.limit
 
     def stamped(self, plan: Plan) -> Plan:
         """Plan with its time, LATE where that was up."""
