@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -97,17 +97,6 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
     v = np.clip(about + z * size, program.lower, program.upper)
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
-
-
-def looked_at(program: SizedProgram, found: Found) -> Found:
-    """Result with the residuals that it has in other sizes."""
-    z, lower, upper = ((v - program.centre) / program.scale for v in (found.v, program.lower, program.upper))
-    on_rows, on_bounds = (
-        found.multipliers[name] * size / program.cost_scale
-        for name, size in (("rows", program.row_scale), ("bounds", program.scale))
-    )
-    residuals, violations = _checked(program, z, on_rows, on_bounds, {"lbx": lower, "ubx": upper})
-    return replace(found, residuals=residuals, violations=violations)
 
 
 def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:

@@ -15,7 +15,7 @@ from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
-from mpc.optimal_control.ipopt import WARM, Found, Settings, looked_at, once
+from mpc.optimal_control.ipopt import WARM, Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
@@ -207,15 +207,15 @@ class Run:
         loose, kept = rescaled(self.program, found.v, centred=True, unbounded=True), self.program
         if np.abs(np.log(loose.scale / kept.scale)).max(initial=0.0) < np.log(WELL_SIZED):
             return found
-        self.program = loose
         if self._late:
-            return looked_at(loose, found)
+            return replace(found, said=LATE)
+        self.program = loose
         other, cost = self._sized(found.v, None, warm=False), self.cost(found)
         apart = abs(self.cost(other) - cost) > COST_ROUNDING * max(abs(cost), loose.cost_scale)
         if apart and status_of(other) is OptimalControlStatus.SOLVED:
             return other
         self.program = kept
-        return found
+        return replace(found, said=LATE) if other.said == LATE else found
 
     def _sized(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where the first sizes were off."""
@@ -226,7 +226,7 @@ class Run:
             found = once(self.program, guess, multipliers, self.left(warm))
             self.iterations += found.iterations
             if kept is not None and found.said == LATE:
-                return looked_at(self.program, kept[1])
+                return replace(kept[1], said=LATE)
             if kept is not None and status_of(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
                 break
@@ -237,8 +237,7 @@ class Run:
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
             if self._late:
-                self.program = sized
-                return looked_at(sized, found)
+                return replace(found, said=LATE)
             missed = found.violations * self.program.row_scale / sized.row_scale
             honest = np.array_equal(sized.centre, self.program.centre) or missed.max(initial=0.0) <= FEASIBLE
             if status_of(found) is OptimalControlStatus.SOLVED and honest:

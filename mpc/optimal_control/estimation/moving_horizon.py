@@ -226,9 +226,11 @@ class MovingHorizonEstimator:
         found = []
         for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
             y, (mean, P) = window.outputs[-1], self._after(window, row)
-            if not np.isfinite(mean).all():  # where the last outputs led
-                window, status = window.left_out(), WindowStatus.HELD
-                mean, P = self._after(window, row)
+            if not np.isfinite(mean).all() and np.isfinite(y).any():  # the last outputs may have led there
+                other = window.left_out()
+                again = self._after(other, row)
+                if np.isfinite(again[0]).all():
+                    window, (mean, P), status = other, again, WindowStatus.HELD
             before = window.course[-1]
             if not np.isfinite(mean).all() or self.model.told(before, row, y) > self.model.told(mean, row, y):
                 mean, status = before, WindowStatus.HELD
