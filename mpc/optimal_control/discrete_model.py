@@ -81,11 +81,9 @@ class DiscreteModel:
         if key not in self._loops:
             soft = np.zeros(priced(law))
             limit = None if law.rate_limit is None else np.append(law.rate_limit, soft + np.inf)
-            p, sizes = (
-                quadratic_parameters(law, p, (1.0, 1.0), law.state_extent),
-                np.append(law.state_extent, soft + 1.0),
-            )
-            self._loops[key] = LoopPhase(quadratic_phase(law, self.step), law.horizon, p, limit, sizes)
+            size, phase = law.state_extent, quadratic_phase(law, self.step)
+            p = quadratic_parameters(law, p, (1.0, 1.0), size)
+            self._loops[key] = LoopPhase(phase, law.horizon, p, limit, np.append(size, soft + 1.0))
         return self._loops[key]
 
     def __getstate__(self) -> dict[str, Any]:

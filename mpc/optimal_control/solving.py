@@ -186,18 +186,13 @@ class Run:
         self.program = program
         self.settings = settings
         self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
-        self.began = time.perf_counter() if began is None else began
+        self.clock = Clock(settings.seconds, time.perf_counter() if began is None else began)
         self.iterations = 0
 
     def left(self, warm: bool) -> Settings:
         """Settings of the next call."""
-        return replace(self.settings, seconds=Clock(self.settings.seconds, self.began).left,
+        return replace(self.settings, seconds=self.clock.left,
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
-
-    @property
-    def _late(self) -> bool:
-        """Whether the time is up."""
-        return Clock(self.settings.seconds, self.began).late
 
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where sizes were off, or bounds that are never met told them and that changes the cost."""
@@ -207,7 +202,7 @@ class Run:
         loose, kept = rescaled(self.program, found.v, centred=True, unbounded=True), self.program
         if np.abs(np.log(loose.scale / kept.scale)).max(initial=0.0) < np.log(WELL_SIZED):
             return found
-        if self._late:
+        if self.clock.late:
             return replace(found, said=LATE)
         self.program = loose
         other, cost = self._sized(found.v, None, warm=False), self.cost(found)
@@ -236,7 +231,7 @@ class Run:
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
-            if self._late:
+            if self.clock.late:
                 return replace(found, said=LATE)
             missed = found.violations * self.program.row_scale / sized.row_scale
             honest = np.array_equal(sized.centre, self.program.centre) or missed.max(initial=0.0) <= FEASIBLE
@@ -336,7 +331,8 @@ class Run:
         return Solution(
             program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
             residuals=found.residuals, conflicts=conflicts, notes=notes, multipliers=multipliers,
-            iterations=self.iterations, solve_time=time.perf_counter() - self.began, solver="ipopt", message=found.said,
+            iterations=self.iterations, solve_time=time.perf_counter() - self.clock.began, solver="ipopt",
+            message=found.said,
         ).looked_between()  # fmt: skip
 
 
