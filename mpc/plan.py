@@ -72,6 +72,8 @@ class Plan:
         Slopes of the cost by x_1 … x_N along the plan, of a nonlinear one by quadratic programs.
     pushes : (m,) array or None
         Multipliers of the limits of such a plan.
+    hessian : (N + 1, nx + nu, nx + nu) array or None
+        Of the Lagrangian at a nonlinear optimum, stage by stage; with signals that act later, of their states, too.
     """
 
     inputs: Array
@@ -84,11 +86,12 @@ class Plan:
     solver: str
     costates: Array | None = None
     pushes: Array | None = None
+    hessian: Array | None = None
 
     def __post_init__(self) -> None:
         self.inputs.flags.writeable = False
         self.states.flags.writeable = False
-        for on in (self.costates, self.pushes):
+        for on in (self.costates, self.pushes, self.hessian):
             if on is not None:
                 on.flags.writeable = False
 

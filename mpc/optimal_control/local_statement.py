@@ -17,10 +17,14 @@ Along = tuple[Array, Array, Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """Costates (N, nx) of later states; multipliers (m,) of limits."""
+    """Costates (N, nx) of later states; multipliers (m,) of limits.
+
+    The Lagrangian's Hessian (N + 1, nx + nu, nx + nu) is that of the plan that they were carried from.
+    """
 
     costates: Array
     pushes: Array
+    hessian: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ class Rows:
         rows.by_before[rows.steps == 0] = 0.0  # that input is known
         return rows
 
-    @property
+    @cached_property
     def violations(self) -> int:
         """Number of violations."""
         return int(self.slots.max(initial=-1)) + 1
@@ -122,7 +126,7 @@ class Local:
     lost: tuple[Array, Array] | None = None
     lost_cost: float = 0.0
 
-    @property
+    @cached_property
     def defects(self) -> float:
         """Largest gap in the plan, in sizes of states."""
         return max(largest(part / self.sizes[0]) for part in self.about[2:])

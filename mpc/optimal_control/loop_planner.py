@@ -167,7 +167,7 @@ class LoopPlanner:
         status = Status.SOLVED if relative <= FEASIBLE else Status.SOFTENED
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
         return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
-                    over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
+                    over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes, step.hessian)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it, which confirms it."""

@@ -58,8 +58,9 @@ def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:
     """
     costates = None if plan.costates is None else np.vstack([plan.costates[1:], plan.costates[-1:]])
     pushes = None if plan.pushes is None else plan.pushes[later]
+    hessian = None if plan.hessian is None else np.concatenate([plan.hessian[1:-1], plan.hessian[-2:]])
     inputs, states = np.vstack([plan.inputs[1:], u]), np.vstack([plan.states[1:], after])
-    return replace(plan, inputs=inputs, states=states, costates=costates, pushes=pushes)
+    return replace(plan, inputs=inputs, states=states, costates=costates, pushes=pushes, hessian=hessian)
 
 
 def told_of_inputs(plan: Plan, bounds: tuple[Array, Array], rate_limit: Array | None, given: Given) -> Plan:

@@ -189,7 +189,10 @@ class QuadraticPlanner:
                 status = Status.SOFTENED
         found = Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name)
         on = at.balanced
-        return found if on is None else replace(found, costates=on.costates, pushes=on.pushes)
+        if on is None or at.last is None:
+            return found
+        hessian = at.last.hessian if status is Status.SOLVED else None
+        return replace(found, costates=on.costates, pushes=on.pushes, hessian=hessian)
 
     def _kept(self, path: Path, at: Path, cost: float, given: Given) -> bool:
         """Whether the model itself goes along a path, or costs as much where it does not."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,7 @@ class QuadraticStages:
         return Local(
             states, inputs, about, *slopes(error, effort), lambda: 2 * self._weights, hessian, self.rows,
             self._room(states, inputs, given), self.sizes, np.where(extent > 0, extent, np.inf),
-            lambda: cost_of(problem, inputs, states, given),
+            cache(lambda: cost_of(problem, inputs, states, given)),
             np.tile((np.inf, np.inf) if problem.soft is None else problem.soft, (self.rows.violations, 1)),
             regulated=self._regulated, lost=slopes(states - error, inputs - effort) if referred else None,
             lost_cost=rounding_of_cost(problem, given) if referred else 0.0,

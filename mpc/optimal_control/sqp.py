@@ -43,28 +43,39 @@ class Step:
         """Multipliers of the plan after the step."""
         return self._balanced()
 
-    @property
+    @cached_property
     def error(self) -> float:
         """Larger of gaps and stationarity, no number where one is none."""
         return float(np.maximum(self.defects, self.stationarity))
 
+    @cached_property
+    def hessian(self) -> Array:
+        """Lagrangian's Hessian at the plan, with its own multipliers."""
+        own, on = self.program, self.multipliers
+        return own.hessian if own is not None and own.curves_as(self.local, on) else self.local.hessian(on)
+
     @property
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
-        own, on, local = self.program, self.multipliers, self.local
-        if own is None or own.curves_as(local, on):
+        if self.program is None:
             return False
-        hessian, sizes = local.hessian(on), np.concatenate(local.sizes)
-        flat = NEGLIGIBLE * (largest(sizes[:, None] * hessian * sizes) or 1.0) / sizes**2  # what costs nothing is none
-        return _program(local, own.dear, on, hessian + np.diag(flat), self.relaxed) is None
+        sizes = np.concatenate(self.local.sizes)
+        most = largest(sizes[:, None] * self.hessian * sizes) or 1.0
+        return not self._curved(NEGLIGIBLE * most / sizes**2)  # what costs nothing is none
 
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
+        return self.program is not None and self._curved(np.zeros(self.hessian.shape[1]))
+
+    def _curved(self, more: Array) -> bool:
+        """Whether it, with more on its diagonal, rises along limits that push."""
         own, on, local = self.program, self.multipliers, self.local
-        if own is None or own.curves_as(local, on):
-            return own is not None
-        return _program(local, own.dear, on, relaxed=self.relaxed) is not None
+        assert own is not None
+        if own.hessian is self.hessian:
+            return True
+        held = _held(local, own.dear, on.pushes, self.relaxed)
+        return _condensed(local, held, self.hessian + np.diag(more)) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +97,13 @@ class _Program:
     by_state: Array
     by_input: Array
     lost: Array
-    of: tuple[Local, Multipliers] | None  # plan and multipliers of the Hessian, where it is the Lagrangian's
+    of: Multipliers | None  # of its Hessian, where that is the Lagrangian's
 
     def curves_as(self, local: Local, on: Multipliers) -> bool:
         """Whether its Hessian is the Lagrangian's at a plan and with multipliers that are hardly others."""
-        if self.of is None:
+        plan, before = self.local, self.of
+        if before is None or before.hessian is not None:  # of another plan
             return False
-        plan, before = self.of
         k = before.costates.shape[1]  # a plan carries those of its states
         size = np.abs(on.costates[:, :k]).max(axis=0, initial=0.0)
         pairs = (
@@ -155,19 +166,17 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     """
     none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
     failed = Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
-    finite = all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input))
-    if not finite or np.isnan(local.room).any():
+    known = (*local.about, local.by_state, local.by_input)
+    if not all(np.isfinite(part).all() for part in known) or np.isnan(local.room).any():
         return failed
-    hessian, of = None, None
     if last is not None and multipliers is not None:
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
-        if last.program is not None and last.program.of is not None and confirmed.error <= (KKT * last.error) ** 0.5:
-            # falling as before, the error will be gone with the same one
-            hessian, of = last.program.hessian, last.program.of
-    newton = None if multipliers is None else _program(local, dear, multipliers, hessian, relaxed, of)
-    program = newton or _program(local, dear, None)
+    tried = [multipliers, None]
+    if multipliers is not None and multipliers.hessian is not None:
+        tried.insert(1, replace(multipliers, hessian=None))
+    program = next(filter(None, (_program(local, dear, one, relaxed) for one in tried)), None)
     if program is None:
         return failed
     z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
@@ -185,7 +194,9 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
 
 def carried(plan: Plan) -> Multipliers | None:
     """Multipliers that a plan carries."""
-    return None if plan.costates is None or plan.pushes is None else Multipliers(plan.costates, plan.pushes)
+    if plan.costates is None or plan.pushes is None:
+        return None
+    return Multipliers(plan.costates, plan.pushes, plan.hessian)
 
 
 def convex(local: Local) -> bool:
@@ -243,30 +254,20 @@ def _held(local: Local, dear: float, pushes: Array, relaxed: bool) -> Array:
     return np.where(acting, np.maximum(dear, VIOLATION_PRICE * pushes * rows.units) / rows.units**2, 0.0)
 
 
-def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian: Array | None = None,
-             relaxed: bool = False, of: tuple[Local, Multipliers] | None = None) -> _Program | None:  # fmt: skip
-    """Program about v = 0, None where it is not convex.
-
-    A Hessian that is given may be `of` another plan and its multipliers.
-    """
+def _program(local: Local, dear: float, on: Multipliers | None, relaxed: bool = False) -> _Program | None:
+    """Program about v = 0, None where it is not convex."""
     A, B, gaps, first = local.about
-    held, rows = np.zeros(len(local.room)), local.rows
-    if multipliers is not None:
-        held = _held(local, dear, multipliers.pushes, relaxed)
-    near = np.flatnonzero(held)
-    sides = rows.sides[near]
+    rows, held = local.rows, np.zeros(len(local.room)) if on is None else _held(local, dear, on.pushes, relaxed)
+    hessian = None if on is None else on.hessian
     try:
         if hessian is None:
-            hessian = local.convex() if multipliers is None else local.hessian(multipliers)
-        whole = hessian.copy()
-        np.add.at(whole, rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
-        gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
-        blocks = 2 * deviating if local.regulated is None else _condensed(A, B, gains, whole)
-        roots = _roots(blocks)
-    except np.linalg.LinAlgError:  # not convex, or slopes so steep that their products are no numbers
+            hessian = local.convex() if on is None else local.hessian(on)
+    except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
         return None
-    if not np.isfinite(roots).all():
+    condensed = _condensed(local, held, hessian)
+    if condensed is None:
         return None
+    whole, gains, blocks, roots = condensed
     along = A, B, gains, gaps, first
     drift, lead = (part[0] for part in moved(*along, np.zeros((1, *local.inputs.shape))))
     aims = np.where(held > 0, np.maximum(local.room, 0.0), 0.0)  # where a limit that pushes is met
@@ -277,11 +278,27 @@ def _program(local: Local, dear: float, multipliers: Multipliers | None, hessian
     by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    own_of = of or (None if multipliers is None else (local, multipliers))
-    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, own_of)
+    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, on)
 
 
-def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
+def _condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, Array, Array] | None:
+    """Hessian priced across rows, gains, blocks by v and their roots.
+
+    None where blocks are not positive definite, or no numbers.
+    """
+    (A, B, _, _), rows, near = local.about, local.rows, np.flatnonzero(held)
+    whole, sides = hessian.copy(), rows.sides[near]
+    np.add.at(whole, rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
+    try:
+        gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
+        blocks = 2 * deviating if local.regulated is None else _by_moves(A, B, gains, whole)
+        roots = _roots(blocks)
+    except np.linalg.LinAlgError:
+        return None
+    return (whole, gains, blocks, roots) if np.isfinite(roots).all() else None
+
+
+def _by_moves(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
     """Hessian (1, n, n) by v."""
     N, nx, nu = B.shape
     n = N * nu
