@@ -335,7 +335,9 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     q = np.concatenate([_times(program.roots, program.gradient[None])[0], prices[given, 0] * size])
     violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots]
     bounds = local.room - rows.along(*program.start)
-    fresh = np.flatnonzero((local.room <= PRIMAL * rows.units) | (program.held > 0))
+    acting = np.where(program.held > 0, -np.inf, local.room / rows.units)
+    near = np.count_nonzero(acting <= PRIMAL)
+    fresh = np.argsort(acting, kind="stable")[:near + near // 3]
     taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
     while True:
         more = np.zeros((len(fresh), len(q)))
