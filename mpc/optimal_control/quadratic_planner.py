@@ -123,7 +123,8 @@ class QuadraticPlanner:
             dear = VIOLATION_PRICE * size
             sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
             found = clock.stamped(self._found(sample))
-            if found.solver == REAL_TIME or found.status not in OPTIMA:
+            wild = found.solver == REAL_TIME and self._total(found, given, dear) > 2 * size
+            if wild or found.status not in (*OPTIMA, Status.FOLLOWED):
                 best = self._best(sample, found)
                 found = replace(best, status=Status.LATE) if found.status is Status.LATE else best
         if self._limits is not None:
@@ -320,7 +321,7 @@ class QuadraticPlanner:
         plans = [found, self._plan(sample, first, Status.REPLACED)]
         if found.solver != REAL_TIME:  # far from rest the gains at rest may do harm
             plans.append(self._plan(sample, replace(first, gains=None), Status.REPLACED))
-        if first.name != LINEAR_LAW and not np.isfinite(self._total(plans[1], given, 1.0)):
+        if first.name != LINEAR_LAW and not np.isfinite(plans[1].cost):
             plans.append(self._plan(sample, self._linear_law(sample.x, given), Status.REPLACED))
         price = VIOLATION_PRICE * max((plan.cost for plan in plans[1:] if np.isfinite(plan.cost)), default=1.0)
         total = [self._total(plan, given, price) for plan in plans]

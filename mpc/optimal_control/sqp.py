@@ -164,11 +164,9 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     begins with the limits that act in the plan and takes in what its solution passes, and what is nearest until it has
     twice as many, until it passes none: its dense part grows with the limits that act, all else with the horizon.
     """
-    none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
-    failed = Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
-    known = (*local.about, local.by_state, local.by_input)
-    if not all(np.isfinite(part).all() for part in known) or np.isnan(local.room).any():
-        return failed
+    known = np.concatenate([part.ravel() for part in (*local.about, local.by_state, local.by_input)])
+    if not np.isfinite(known).all() or np.isnan(local.room).any():
+        return _failed(local)
     if last is not None and multipliers is not None:
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
@@ -178,7 +176,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
         tried.insert(1, replace(multipliers, hessian=None))
     program = next(filter(None, (_program(local, dear, one, relaxed) for one in tried)), None)
     if program is None:
-        return failed
+        return _failed(local)
     z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
     moves, change = program.moves(z)
     curvature = program.curvature(z)
@@ -190,6 +188,12 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     found = local, moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
     return Step(*found, relaxed, solved, program, balanced)
+
+
+def _failed(local: Local) -> Step:
+    """Step of no program."""
+    none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
+    return Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
 
 
 def carried(plan: Plan) -> Multipliers | None:
@@ -337,17 +341,17 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     bounds = local.room - rows.along(*program.start)
     acting = np.where(program.held > 0, -np.inf, local.room / rows.units)
     near = np.count_nonzero(acting <= PRIMAL)
-    fresh = np.argsort(acting, kind="stable")[:near + near // 3]
+    fresh = np.argsort(acting)[: near + near // 3]
     taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
     while True:
         more = np.zeros((len(fresh), len(q)))
         more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
         taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
         soft = np.flatnonzero(violations[taken] >= 0)
-        slots = violations[taken[soft]]
+        slots, passing = violations[taken[soft]], np.unique(violations[taken[soft]])
         matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
-        least = np.zeros((len(np.unique(slots)), len(q)))
-        least[np.arange(len(least)), n + np.unique(slots)] = -1.0
+        least = np.zeros((len(passing), len(q)))
+        least[np.arange(len(least)), n + passing] = -1.0
         sides = np.concatenate([bounds[taken], np.zeros(len(least))])
         units = np.concatenate([rows.units[taken], np.ones(len(least))])
         y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
@@ -382,6 +386,8 @@ def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, A
 
     Only what the rows see of y is a matter of them.
     """
+    if not len(rows):
+        return -q, np.zeros(0), True
     basis, seen = np.linalg.qr(rows.T)
     own = q @ basis
     result = DenseQP(np.eye(len(own)), seen.T, units, second=False).solve(own, bounds)
