@@ -34,8 +34,8 @@ class WindowStatus(Outcome):
         "Check that limits on states and disturbances can hold together, and that the model is finite within them."
     )
     HELD = (
-        "Outputs or inputs led to where the model or its slopes are not finite: they are left out of the estimate. "
-        "Look for outliers, and give an `x0` at which the model is finite."
+        "Outputs or inputs led to where the model or its slopes are not finite: the window begins anew without them. "
+        "Look for outliers, give an `x0` at which the model is finite, and `x_bounds` within which it is."
     )
 
 
@@ -49,7 +49,7 @@ class MovingHorizonBelief:
         Of the state; the covariance by linearisation, without regard to limits.
     parameters : (n, np) array
     status : tuple of WindowStatus
-        Of each run's last sample.
+        What the last call came to, of each run.
     windows : tuple of Window
     """
 
@@ -217,31 +217,34 @@ class MovingHorizonEstimator:
         """Belief of n runs before the first measurement."""
         z = np.concatenate([self.x0, self.p])
         P = self._first_covariance
-        none = Window(z, P, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None], P, (z, P))
-        count = as_count("n", n)
-        return self._belief([(none, WindowStatus.SOLVED)] * count)
+        return self._belief([(self._begun(z, P), WindowStatus.SOLVED)] * as_count("n", n))
+
+    def _begun(self, z: Array, P: Array) -> Window:
+        """Window without samples."""
+        return Window(z, P, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None], P, ((z, P), (z, P)))
 
     def predict(self, belief: MovingHorizonBelief, u: ArrayLike) -> MovingHorizonBelief:
         """Belief one sample later, after inputs (n, nu)."""
-        found = []
-        for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
-            y, (mean, P) = window.outputs[-1], self._after(window, row)
-            if not np.isfinite(mean).all() and np.isfinite(y).any():  # the last outputs may have led there
-                other = window.left_out()
-                again = self._after(other, row)
-                if np.isfinite(again[0]).all():
-                    window, (mean, P), status = other, again, WindowStatus.HELD
-            before = window.course[-1]
-            if not np.isfinite(mean).all() or self.model.told(before, row, y) > self.model.told(mean, row, y):
-                mean, status = before, WindowStatus.HELD
-            P = P if np.isfinite(P).all() else window.last
-            ahead = replace(window, course=np.vstack([window.course, mean]), last=P, foretold=(mean, P))
-            found.append((ahead, status))
-        return self._belief(found)
+        inputs = self._inputs_of(belief, u, ahead=0)
+        return self._belief([self._ahead(window, row) for window, row in zip(belief.windows, inputs)])
 
-    def _after(self, window: Window, u: Array) -> tuple[Array, Array]:
-        """Mean and covariance one sample later."""
-        return self.model.predicted(window.course[-1], u, window.course[-1], window.last)
+    def _ahead(self, window: Window, u: Array) -> tuple[Window, WindowStatus]:
+        """Window with the state one sample later, and its status.
+
+        Outputs or inputs may have led to where there is no step: then it is that from before them, or none.
+        """
+        y, known = window.outputs[-1], [window, *window.without_the_last()]
+        for one in known:
+            before = one.course[-1]
+            mean, P = self.model.predicted(before, u, before, one.last)
+            if np.isfinite(mean).all():
+                break
+        status = WindowStatus.SOLVED if one is window else WindowStatus.HELD
+        P = P if np.isfinite(P).all() else one.last
+        if one is known[-1] or self.model.told(before, u, y) > self.model.told(mean, u, y):
+            return self._begun(before, P), WindowStatus.HELD
+        ahead = (mean, P), (before, one.last) if np.isfinite(y).any() else one.before[1]
+        return replace(one, course=np.vstack([one.course, mean]), last=P, before=ahead), status
 
     def update(self, belief: MovingHorizonBelief, y: ArrayLike, u: ArrayLike) -> MovingHorizonBelief:
         """Belief after outputs (n, ny), or NaN, of inputs (n, nu)."""
@@ -250,7 +253,7 @@ class MovingHorizonEstimator:
             got = "infinite values" if np.isinf(outputs).any() else f"shape {outputs.shape}"
             raise InputError("y", got, f"({len(belief.windows)}, {self.ny}), finite, NaN where there is none")
         inputs = self._inputs_of(belief, u, ahead=1)
-        return self._belief([self._updated(*row) for row in zip(belief.windows, outputs, inputs)])
+        return self._belief([self._updated(*row) for row in zip(belief.windows, belief.status, outputs, inputs)])
 
     def _inputs_of(self, belief: MovingHorizonBelief, u: ArrayLike, *, ahead: int) -> Array:
         """Inputs (n, nu), for states that many samples ahead of outputs."""
@@ -260,7 +263,7 @@ class MovingHorizonEstimator:
             raise InputError("belief", "one out of turn", f"one after {after}", cure)
         return as_array("u", u, (len(belief.windows), self.inputs))
 
-    def _updated(self, window: Window, y: Array, u: Array) -> tuple[Window, WindowStatus]:
+    def _updated(self, window: Window, led: WindowStatus, y: Array, u: Array) -> tuple[Window, WindowStatus]:
         """Window with one more sample, and its status."""
         longer = replace(window, outputs=np.vstack([window.outputs, y]), inputs=np.vstack([window.inputs, u]))
         if len(longer.outputs) > self.window:
@@ -271,12 +274,13 @@ class MovingHorizonEstimator:
         course, good = self._programs[count].solved(longer, self.tolerance)
         longer = replace(longer, course=course) if good else longer
         z, P = longer.filtered(self.model)
-        status = WindowStatus.SOLVED if good else WindowStatus.FILTERED
+        status = led if led is WindowStatus.HELD or good else WindowStatus.FILTERED
         course = longer.course if good else np.vstack([longer.course[:-1], z])
-        lost = self.model.told(window.course[-1], u, y) > self.model.told(course[-1], u, y)
-        if np.isfinite(course[-1]).all() and np.isfinite(P).all() and not lost:
+        others = longer.without_the_last()
+        told = [self.model.told(at, u, y) for at in (course[-1], *(one.course[-1] for one in others))]
+        if np.isfinite(course[-1]).all() and np.isfinite(P).all() and told[0] >= max(told):
             return replace(longer, course=course, last=P), status
-        return longer.left_out(), WindowStatus.HELD
+        return others[int(np.argmax(told[1:]))], WindowStatus.HELD
 
     def _belief(self, runs: list[tuple[Window, WindowStatus]]) -> MovingHorizonBelief:
         """Belief of runs: window and status of each."""

@@ -17,7 +17,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.ipopt import Settings, once
 from mpc.optimal_control.pieces import kind_of, piece_of
 from mpc.optimal_control.program import SizedProgram
-from mpc.tolerances import KKT_REPORTED
+from mpc.tolerances import KKT_REPORTED, ROUNDED_SUM
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,8 @@ class NoisyModel:
         slope, V = H.reshape(len(at), -1).T[known], self.V[np.ix_(known, known)]
         S = slope @ P @ slope.T + V
         unit = np.sqrt(np.diag(S))
-        gain = (np.linalg.solve(S / unit / unit[:, None], slope @ P / unit[:, None]) / unit[:, None]).T
+        alike = S / unit / unit[:, None] + ROUNDED_SUM * np.eye(len(S))  # of outputs that tell the same
+        gain = (np.linalg.solve(alike, slope @ P / unit[:, None]) / unit[:, None]).T
         rest = np.eye(len(at)) - gain @ slope
         after = rest @ P @ rest.T + gain @ V @ gain.T
         return mean + gain @ (y[known] - h[known] - slope @ (mean - at)), (after + after.T) / 2
@@ -82,12 +83,13 @@ class Window:
     inputs: Array  # (k, nu): held until each sample
     course: Array  # (k, nz): most likely z
     last: Array  # (nz, nz): covariance of z at the last sample
-    foretold: tuple[Array, Array]  # mean and covariance of z at the last sample, before its outputs
+    # mean and covariance of z before the last sample's outputs, and where outputs were met last before that
+    before: tuple[tuple[Array, Array], tuple[Array, Array]]
 
-    def left_out(self) -> Window:
-        """Window that begins with the last sample, without its outputs."""
-        z, P = self.foretold
-        return Window(z, P, np.full_like(self.outputs[-1:], np.nan), self.inputs[-1:], z[None], P, self.foretold)
+    def without_the_last(self) -> list[Window]:
+        """Windows that begin with the last sample without its outputs, then as if all were as outputs were met last."""
+        none = np.full_like(self.outputs[-1:], np.nan)
+        return [Window(z, P, none, self.inputs[-1:], z[None], P, self.before) for z, P in self.before]
 
     def shortened(self, model: NoisyModel) -> Window:
         """Window without its first sample, which mean and covariance take in."""
