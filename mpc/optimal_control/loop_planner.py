@@ -189,12 +189,12 @@ class LoopPlanner:
         if before is not None:
             v = self._unknowns(program, before.states, self._aside(before.inputs), given)
             tried.append(solved(v, PRICE**2))
-        if not tried or tried[0].status in RANKS[2:]:
+        if not tried or tried[0].status is not Status.SOLVED:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
-            own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.late))
+            own = (solved(v, 0.0) for i, v in enumerate(guesses, len(tried)) if not (i and clock.late))
             tried += until_most_agree(own, len(guesses))
             least = min(tried, key=lambda one: one.rank)
-            if least.status is not Status.SOLVED and not clock.late:
+            if least.status in RANKS[2:] and not clock.late:
                 tried.append(solved(least.found.v, PRICE**2))
         best = min(tried, key=lambda one: one.rank)
         bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()

@@ -230,3 +230,29 @@ def test_other_parameters_have_the_terminal_cost_that_is_theirs():
 
     other = controller(1.0).with_parameters([1e3])
     assert other.solve([4.2, 0]).cost == pytest.approx(controller(1e3).solve([4.2, 0]).cost, rel=1e-6)
+
+
+def test_a_disc_that_another_way_keeps_off_is_not_softened():
+    """The loop went 0.02 deep into the disc where a solve of the same controller kept off it."""
+    centre, radius = np.array([-0.191, -0.603]), 0.223
+
+    def step(x, u):
+        rate = lambda z: ca.vertcat(z[1], (1 - z[0] ** 2) * z[1] - z[0] + u)  # noqa: E731
+        for _ in range(2):
+            k1 = rate(x)
+            k2 = rate(x + 0.0375 * k1)
+            k3 = rate(x + 0.0375 * k2)
+            x = x + 0.0125 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.075 * k3))
+        return x
+
+    law = NonlinearMPC(Phase(
+        step, 2, 1, discrete=True, duration=13, u_bounds=(-1.2, 1.2), stage_cost=lambda x, u: ca.sumsqr(x) + 0.1 * u**2,
+        terminal_cost=lambda x: 5 * ca.sumsqr(x), path=lambda x: radius**2 - ca.sumsqr(x - centre),
+    ))  # fmt: skip
+    x = np.array([0.273, -0.684])
+    for k in range(9):
+        x = x + np.array([0.172, -0.3]) if k == 4 else x
+        u = law(x)
+        assert law.last_plans[0].status is Status.SOLVED
+        x = np.asarray(ca.DM(step(ca.DM(x), ca.DM(u)))).ravel()
+        assert np.hypot(*(x - centre)) >= radius - 1e-6

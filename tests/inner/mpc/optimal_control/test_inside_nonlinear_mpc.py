@@ -101,20 +101,27 @@ def test_ipopt_gets_no_rows_without_a_bound():
     assert len(NonlinearMPC(phase).solve([1.0]).inputs) == 4
 
 
-@pytest.mark.parametrize(("kick", "status", "last"), [(1.35, Status.SOFTENED, "SQP"), (0.9, Status.SOLVED, "Ipopt")])
-def test_where_a_plan_cannot_be_followed_ipopt_is_asked_once(kick, status, last, monkeypatch):
+@pytest.mark.parametrize(
+    ("kick", "limit", "status", "last", "count"),
+    [(1.35, None, Status.SOFTENED, "SQP", 4), (0.9, None, Status.SOLVED, "Ipopt", 1), (1.35, 1e-5, Status.LATE, "", 1)],
+)  # fmt: skip
+def test_where_a_plan_cannot_be_followed_ipopt_is_asked_once_and_elsewhere_if_limits_are_passed(
+    kick, limit, status, last, count, monkeypatch
+):
     phase = Phase(
         lambda x, u: x + 0.1 * u, 1, 1, discrete=True, duration=12, u_bounds=(-1, 1),
         stage_cost=lambda x, u: (x - 2) ** 2 + 0.1 * u**2, path=lambda x: x - 1,
     )  # fmt: skip
-    law, asked = NonlinearMPC(phase), []
-    law([0.5])
+    law, asked = NonlinearMPC(phase, time_limit=limit), []
+    law._last[:] = [NonlinearMPC(phase).solve([0.5])]
     law._last[0] = replace(law._last[0], costates=None)
     monkeypatch.setattr("mpc.optimal_control.solving.once", lambda *given: asked.append(given) or once(*given))
     law([kick])
     plan = law.last_plans[0]
-    assert (plan.status, plan.solver, len(asked)) == (status, last, 1)
-    assert plan.states[1, 0] == pytest.approx(max(kick - 0.1, 1.0), rel=1e-4)
+    assert (plan.status, len(asked)) == (status, count)
+    if limit is None:
+        assert plan.solver == last
+        assert plan.states[1, 0] == pytest.approx(max(kick - 0.1, 1.0), rel=1e-4)
 
 
 def test_a_start_whose_programs_lead_to_an_optimum_is_not_solved_again(monkeypatch):
