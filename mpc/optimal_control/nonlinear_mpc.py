@@ -43,7 +43,8 @@ class NonlinearMPC(Immutable):
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to the model, x_k in X (k = 1 … N), u_k in U
     (k = 0 … N-1) and x_N in the terminal set. Limits, soft limits, rates, references and previews are stated as for
     `LinearMPC`. What is not solved is followed (`FOLLOWED`, a real-time iteration), or replaced by the best of what was
-    reached, the plan of the sample before and the law of the linearisation (`LATE`, `REPLACED`), always in U.
+    reached, the plan of the sample before and the law of the linearisation (`LATE`, `REPLACED`), always in U but
+    where the rate limit does not let inputs into it (`INFEASIBLE`).
 
     A `Phase` in place of the step states any costs, limits, conditions at the end and signals instead; then only
     `horizon` (of continuous time), `p`, `rate_limit`, `uses` and what is said of the solver stand beside it.
