@@ -183,16 +183,16 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
-        run = Run(program, self.settings)  # by less time a plan that is late might never become one to follow
+        run = Run(program, self.settings, clock.began)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:
             v = self._unknowns(program, before.states, self._aside(before.inputs), given)
             tried.append(solved(v, PRICE**2))
-        if not tried or tried[0].status is not Status.SOLVED:
-            guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
-            own = (solved(v, 0.0) for i, v in enumerate(guesses, len(tried)) if not (i and clock.late))
-            tried += until_most_agree(own, len(guesses))
+        if not tried or not (tried[0].status is Status.SOLVED or clock.late):
+            guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given))
+            own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.late))
+            tried += until_most_agree(own, self.starts)
             least = min(tried, key=lambda one: one.rank)
             if least.status in RANKS[2:] and not clock.late:
                 tried.append(solved(least.found.v, PRICE**2))

@@ -78,7 +78,7 @@ class NonlinearMPC(Immutable):
         are tried again where a plan that is followed leads to no optimum, or to a worse one than the linear law's.
     time_limit : float, optional
         Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops where an iteration
-        would, that of a phase after as long once more; the plan is then `LATE`, and the next sample goes on from it.
+        would; the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------
