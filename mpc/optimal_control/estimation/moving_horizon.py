@@ -233,18 +233,18 @@ class MovingHorizonEstimator:
 
         Outputs or inputs may have led to where there is no step: then it is that from before them, or none.
         """
-        y, known = window.outputs[-1], [window, *window.without_the_last()]
-        for one in known:
+        y, (left_out, still) = window.outputs[-1], window.without_the_last()
+        for one in (window, left_out, still):
             before = one.course[-1]
             mean, P = self.model.predicted(before, u, before, one.last)
-            if np.isfinite(mean).all():
-                break
-        status = WindowStatus.SOLVED if one is window else WindowStatus.HELD
-        P = P if np.isfinite(P).all() else one.last
-        if one is known[-1] or self.model.told(before, u, y) > self.model.told(mean, u, y):
-            return self._begun(before, P), WindowStatus.HELD
-        ahead = (mean, P), (before, one.last) if np.isfinite(y).any() else one.before[1]
-        return replace(one, course=np.vstack([one.course, mean]), last=P, before=ahead), status
+            P = P if np.isfinite(P).all() else one.last
+            if one is still or not np.isfinite(mean).all():
+                continue
+            if self.model.told(before, u, y) <= self.model.told(mean, u, y):
+                met = (before, one.last) if np.isfinite(y).any() else one.before[1]
+                ahead = replace(one, course=np.vstack([one.course, mean]), last=P, before=((mean, P), met))
+                return ahead, WindowStatus.SOLVED if one is window else WindowStatus.HELD
+        return self._begun(before, P), WindowStatus.HELD
 
     def update(self, belief: MovingHorizonBelief, y: ArrayLike, u: ArrayLike) -> MovingHorizonBelief:
         """Belief after outputs (n, ny), or NaN, of inputs (n, nu)."""

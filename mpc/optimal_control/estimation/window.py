@@ -17,7 +17,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.ipopt import Settings, once
 from mpc.optimal_control.pieces import kind_of, piece_of
 from mpc.optimal_control.program import SizedProgram
-from mpc.tolerances import KKT_REPORTED, ROUNDED_SUM
+from mpc.tolerances import KKT_REPORTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,11 @@ class NoisyModel:
         slope, V = H.reshape(len(at), -1).T[known], self.V[np.ix_(known, known)]
         S = slope @ P @ slope.T + V
         unit = np.sqrt(np.diag(S))
-        alike = S / unit / unit[:, None] + ROUNDED_SUM * np.eye(len(S))  # of outputs that tell the same
-        gain = (np.linalg.solve(alike, slope @ P / unit[:, None]) / unit[:, None]).T
+        alike, told = S / unit / unit[:, None], slope @ P / unit[:, None]
+        try:
+            gain = (np.linalg.solve(alike, told) / unit[:, None]).T
+        except np.linalg.LinAlgError:  # outputs that tell the same of a state that is known badly
+            gain = (np.linalg.lstsq(alike, told)[0] / unit[:, None]).T
         rest = np.eye(len(at)) - gain @ slope
         after = rest @ P @ rest.T + gain @ V @ gain.T
         return mean + gain @ (y[known] - h[known] - slope @ (mean - at)), (after + after.T) / 2
@@ -88,8 +91,9 @@ class Window:
 
     def without_the_last(self) -> list[Window]:
         """Windows that begin with the last sample without its outputs, then as if all were as outputs were met last."""
-        none = np.full_like(self.outputs[-1:], np.nan)
-        return [Window(z, P, none, self.inputs[-1:], z[None], P, self.before) for z, P in self.before]
+        (foretold, (met, _)), none = self.before, np.full_like(self.outputs[-1:], np.nan)
+        known = foretold, (met, self.last)  # as uncertain as now
+        return [Window(z, P, none, self.inputs[-1:], z[None], P, self.before) for z, P in known]
 
     def shortened(self, model: NoisyModel) -> Window:
         """Window without its first sample, which mean and covariance take in."""
