@@ -142,7 +142,8 @@ class LoopPlanner:
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
         """Optimum that quadratic programs lead to, or None."""
-        first, stated = Path(before.states, before.inputs, multipliers=carried(before)), partial(self._local, x, given)
+        own = carried(before, self.stages.rows)
+        first, stated = Path(before.states, before.inputs, multipliers=own), partial(self._local, x, given)
         if first.multipliers is None:
             return None
         for times in (PRICE,) if before.status is Status.SOFTENED else (1.0, PRICE):
@@ -152,7 +153,9 @@ class LoopPlanner:
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
                 break
-        return found if found.status in (Status.SOLVED, before.status) else None  # from elsewhere limits may be kept
+        # from elsewhere limits may be kept, which was looked at as they began to be passed, if there was time
+        known = before.status in (Status.SOFTENED, Status.LATE)
+        return found if found.status is Status.SOLVED or known else None
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
         """Statement at a plan of a sample."""
@@ -166,8 +169,9 @@ class LoopPlanner:
         over, relative = local.passed
         status = Status.SOLVED if relative <= FEASIBLE else Status.SOFTENED
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
+        hessian = None if self.loop.timed or self.loop.functions.nw else step.hessian  # signals may change it
         return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
-                    over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes, step.hessian)  # fmt: skip
+                    over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes, hessian)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
         """Optimum with the multipliers of a program about it, which confirms it."""
@@ -189,9 +193,9 @@ class LoopPlanner:
         if before is not None:
             v = self._unknowns(program, before.states, self._aside(before.inputs), given)
             tried.append(solved(v, PRICE**2))
-        if not tried or not (tried[0].status is Status.SOLVED or clock.late):
+        if not tried or not (tried[0].status is Status.SOLVED or clock.up):
             guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given))
-            own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.late))
+            own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
             tried += until_most_agree(own, self.starts)
             least = min(tried, key=lambda one: one.rank)
             if least.status in RANKS[2:] and not clock.late:

@@ -116,15 +116,19 @@ class QuadraticPlanner:
                 first = self._linear_law(x, given)
                 most = self._cost_to_stay(self._held(first, given), given)
             else:
-                first = Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=carried(before))
+                own = carried(before, self.stages.rows)
+                first = Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=own)
                 most = np.inf
             cost = cost_of(self.law, first.inputs, first.states, given)
             size = max(min(cost, most), TINY)
             dear = VIOLATION_PRICE * size
             sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
             found = clock.stamped(self._found(sample))
-            wild = found.solver == REAL_TIME and self._total(found, given, dear) > 2 * size
-            if wild or found.status not in (*OPTIMA, Status.FOLLOWED):
+            wild = found.status not in OPTIMA
+            if found.status is Status.FOLLOWED:
+                ahead = self._followed(x, first, given)
+                wild = self._total(found, given, dear) > 2 * self._total(ahead, given, dear)
+            if wild:
                 best = self._best(sample, found)
                 found = replace(best, status=Status.LATE) if found.status is Status.LATE else best
         if self._limits is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.optimal_control.condensing import gains_along, moved, pulled
-from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
+from mpc.optimal_control.local_statement import Along, Local, Multipliers, Rows, both, largest
 from mpc.plan import Plan
 from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, OPTIMAL, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
 
@@ -196,11 +196,12 @@ def _failed(local: Local) -> Step:
     return Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
 
 
-def carried(plan: Plan) -> Multipliers | None:
-    """Multipliers that a plan carries."""
-    if plan.costates is None or plan.pushes is None:
+def carried(plan: Plan, rows: Rows) -> Multipliers | None:
+    """Multipliers that a plan carries, if they are of these rows."""
+    if plan.costates is None or plan.pushes is None or len(plan.pushes) != len(rows.steps):
         return None
-    return Multipliers(plan.costates, plan.pushes, plan.hessian)
+    fits = plan.hessian is not None and plan.hessian.shape[1] == rows.sides.shape[1]
+    return Multipliers(plan.costates, plan.pushes, plan.hessian if fits else None)
 
 
 def convex(local: Local) -> bool:

@@ -190,3 +190,32 @@ def test_outputs_that_tell_the_same_of_a_state_that_is_known_badly_are_taken():
     )
     belief = estimator.update(estimator.start(1), [[3.0, 3.0]], NO_INPUT)
     assert belief.mean.item() == pytest.approx(3.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("window", [1, 4])
+@pytest.mark.parametrize("outlier", [50.0, 1e12])
+def test_an_outlier_after_which_outputs_have_no_value_is_left_out_and_no_good_one_after_it(outlier, window):
+    """Predator and prey, told by logarithms: the window began anew at the outlier, and was held for ever."""
+    grown = lambda x: ca.vertcat(x[0] - x[0] * x[1], x[0] * x[1] - x[1])  # noqa: E731
+    estimator = MovingHorizonEstimator(
+        lambda x, w: x + 0.1 * grown(x) + w, lambda x: ca.log(x), 2, 0, window=window, W=[1e-4, 1e-4], V=[1e-4, 1e-4],
+        P0=[0.01, 0.01], x0=[1.0, 1.0],
+    )  # fmt: skip
+    belief, said = estimator.start(1), []
+    for k in range(40):
+        belief = estimator.predict(belief, NO_INPUT) if k else belief
+        belief = estimator.update(belief, [[0.0, outlier if k == 10 else 0.0]], NO_INPUT)
+        said.append(belief.status[0].name)
+    assert said.count("HELD") <= 2
+    np.testing.assert_allclose(belief.mean, 1.0, atol=1e-3)
+
+
+def test_antennas_that_tell_nearly_the_same_are_told_apart_as_by_the_kalman_filter():
+    """Position by ± 1e5 and an angle by ± 0.1, both antennas within 0.01."""
+    estimator = MovingHorizonEstimator(
+        lambda x, w: x + w, lambda x: ca.vertcat(x[0], x[0] + x[1]), 2, 0, window=1, W=[1e-12, 1e-12], V=[1e-4, 1e-4],
+        P0=[1e10, 1e-2], x0=[0.0, 0.0],
+    )  # fmt: skip
+    belief = estimator.update(estimator.start(1), [[20.0, 20.13]], NO_INPUT)
+    assert belief.mean[0, 1] == pytest.approx(0.13 * 1e-2 / (1e-2 + 2e-4), rel=1e-3)
+    assert belief.covariance[0, 1, 1] == pytest.approx(1e-2 * 2e-4 / (1e-2 + 2e-4), rel=1e-3)
