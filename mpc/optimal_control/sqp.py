@@ -197,7 +197,7 @@ def _failed(local: Local) -> Step:
 
 
 def carried(plan: Plan, rows: Rows) -> Multipliers | None:
-    """Multipliers that a plan carries, if they are of these rows."""
+    """Multipliers that a plan carries for these rows."""
     if plan.costates is None or plan.pushes is None or len(plan.pushes) != len(rows.steps):
         return None
     fits = plan.hessian is not None and plan.hessian.shape[1] == rows.sides.shape[1]

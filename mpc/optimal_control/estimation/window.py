@@ -90,7 +90,7 @@ class Window:
     before: tuple[tuple[Array, Array], tuple[Array, Array]]
 
     def without_the_last(self) -> list[Window]:
-        """Windows that begin with the last sample without its outputs, then as if all were as outputs were met last."""
+        """Windows of the last sample without its outputs, then as outputs were met last."""
         (foretold, (met, _)), none = self.before, np.full_like(self.outputs[-1:], np.nan)
         known = foretold, (met, self.last)  # as uncertain as now
         return [Window(z, P, none, self.inputs[-1:], z[None], P, self.before) for z, P in known]
