@@ -207,7 +207,7 @@ class LoopPlanner:
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
         if plan.status not in RANKS[:2]:
-            return plan
+            return replace(plan, status=Status.LATE) if clock.up else plan
         plan = self._with_multipliers(plan, x, given)
         # limits that are small beside the way are kept to their own sizes by programs
         sure = plan.status is Status.SOLVED or clock.late

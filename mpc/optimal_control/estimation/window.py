@@ -64,9 +64,12 @@ class NoisyModel:
         h, H = (np.asarray(part, dtype=float).ravel() for part in self.seen(at, u))
         known = ~np.isnan(y)
         slope, V = H.reshape(len(at), -1).T[known], self.V[np.ix_(known, known)]
-        S = slope @ P @ slope.T + V
-        unit = np.sqrt(np.diag(S))
-        alike, told = S / unit / unit[:, None], slope @ P / unit[:, None]
+        with np.errstate(invalid="ignore", over="ignore"):
+            S = slope @ P @ slope.T + V
+            unit = np.sqrt(np.diag(S))
+            alike, told = S / unit / unit[:, None], slope @ P / unit[:, None]
+        if not (np.isfinite(alike).all() and np.isfinite(told).all()):
+            return np.full_like(mean, np.nan), np.full_like(P, np.nan)
         try:
             gain = (np.linalg.solve(alike, told) / unit[:, None]).T
         except np.linalg.LinAlgError:  # outputs that tell the same of a state that is known badly

@@ -219,3 +219,15 @@ def test_antennas_that_tell_nearly_the_same_are_told_apart_as_by_the_kalman_filt
     belief = estimator.update(estimator.start(1), [[20.0, 20.13]], NO_INPUT)
     assert belief.mean[0, 1] == pytest.approx(0.13 * 1e-2 / (1e-2 + 2e-4), rel=1e-3)
     assert belief.covariance[0, 1, 1] == pytest.approx(1e-2 * 2e-4 / (1e-2 + 2e-4), rel=1e-3)
+
+
+@pytest.mark.parametrize("third", [ca.log, ca.sqrt])
+def test_beside_outputs_that_tell_the_same_one_without_a_slope_is_held(third):
+    """It ended in an error of linear algebra."""
+    estimator = MovingHorizonEstimator(
+        lambda x, w: x + w, lambda x: ca.vertcat(x[0], x[0], third(x[1])), 2, 0, window=1, W=[1.0, 1.0],
+        V=[1e-6, 1e-6, 1e-6], P0=[1e20, 1.0], x0=[0.0, 0.0],
+    )  # fmt: skip
+    belief = estimator.update(estimator.start(1), [[3.0, 3.0, 1.0]], NO_INPUT)
+    assert belief.status[0].name == "HELD"
+    assert np.isfinite(belief.mean).all()
