@@ -131,7 +131,7 @@ def test_a_first_estimate_at_its_bound_but_for_rounding_is_taken():
 DRAINING = lambda x, u, w: x + 0.3 * (u - 0.5 * ca.sqrt(x)) + w  # noqa: E731
 
 
-@pytest.mark.parametrize("window", [1, 5])
+@pytest.mark.parametrize("window", [1, pytest.param(5, marks=pytest.mark.long)])
 def test_a_tank_that_ran_nearly_empty_is_met_again_when_it_fills(window):
     """It was held for ever."""
     rng, x, said = np.random.default_rng(0), 1.0, []
@@ -139,7 +139,7 @@ def test_a_tank_that_ran_nearly_empty_is_met_again_when_it_fills(window):
         DRAINING, lambda x: x, 1, 1, window=window, W=[1e-4], V=[1e-4], P0=[0.01], x0=[1.0]
     )
     belief = estimator.start(1)
-    for k in range(80):
+    for k in range(60):
         u = 0.5 if k < 5 or k > 35 else 0.0
         if k:
             x = max(x + 0.3 * (u - 0.5 * np.sqrt(x)), 0.0)
