@@ -73,7 +73,7 @@ class Plan:
     pushes : (m,) array or None
         Multipliers of the limits of such a plan.
     hessian : (N + 1, nx + nu, nx + nu) array or None
-        Of the Lagrangian at a nonlinear optimum, stage by stage; with signals that act later, of their states, too.
+        Of the Lagrangian at a nonlinear optimum, stage by stage, for the next sample; none where signals may change it.
     """
 
     inputs: Array

@@ -221,7 +221,7 @@ class MovingHorizonEstimator:
 
     def _begun(self, z: Array, P: Array) -> Window:
         """Window without samples."""
-        return Window(z, P, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None], P, ((z, P), (z, P)))
+        return Window(z, P, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None], P, (z, P), z)
 
     def predict(self, belief: MovingHorizonBelief, u: ArrayLike) -> MovingHorizonBelief:
         """Belief one sample later, after inputs (n, nu)."""
@@ -241,8 +241,8 @@ class MovingHorizonEstimator:
             if one is still or not np.isfinite(mean).all():
                 continue
             if self.model.told(before, u, y) <= self.model.told(mean, u, y):
-                met = (before, one.last) if np.isfinite(y).any() else one.before[1]
-                ahead = replace(one, course=np.vstack([one.course, mean]), last=P, before=((mean, P), met))
+                met = before if np.isfinite(y).any() else one.met
+                ahead = replace(one, course=np.vstack([one.course, mean]), last=P, foretold=(mean, P), met=met)
                 return ahead, WindowStatus.SOLVED if one is window else WindowStatus.HELD
         return self._begun(before, P), WindowStatus.HELD
 

@@ -89,14 +89,13 @@ class Window:
     inputs: Array  # (k, nu): held until each sample
     course: Array  # (k, nz): most likely z
     last: Array  # (nz, nz): covariance of z at the last sample
-    # mean and covariance of z before the last sample's outputs, and where outputs were met last before that
-    before: tuple[tuple[Array, Array], tuple[Array, Array]]
+    foretold: tuple[Array, Array]  # mean and covariance of z at the last sample, before its outputs
+    met: Array  # (nz,): z where outputs were met last before that
 
     def without_the_last(self) -> list[Window]:
         """Windows of the last sample without its outputs, then as outputs were met last."""
-        (foretold, (met, _)), none = self.before, np.full_like(self.outputs[-1:], np.nan)
-        known = foretold, (met, self.last)  # as uncertain as now
-        return [Window(z, P, none, self.inputs[-1:], z[None], P, self.before) for z, P in known]
+        known, none = (self.foretold, (self.met, self.last)), np.full_like(self.outputs[-1:], np.nan)
+        return [Window(z, P, none, self.inputs[-1:], z[None], P, self.foretold, self.met) for z, P in known]
 
     def shortened(self, model: NoisyModel) -> Window:
         """Window without its first sample, which mean and covariance take in."""

@@ -10,6 +10,16 @@ NO_INPUT = np.zeros((1, 0))
 FILLING = lambda x, w: 0.95 * x + 0.05 + w  # noqa: E731
 
 
+def met(estimator, outputs):
+    """Beliefs after outputs (n, ny), without inputs."""
+    belief, found = estimator.start(1), []
+    for k, y in enumerate(outputs):
+        belief = estimator.predict(belief, NO_INPUT) if k else belief
+        belief = estimator.update(belief, [y], NO_INPUT)
+        found.append(belief)
+    return found
+
+
 def settled(step, output, level, outlier, window, unit=1.0):
     """Beliefs of a level that rests, with one outlier."""
     estimator = MovingHorizonEstimator(
@@ -18,12 +28,7 @@ def settled(step, output, level, outlier, window, unit=1.0):
     )  # fmt: skip
     outputs = np.full(25, float(output(ca.DM(level))))
     outputs[10] = outlier
-    belief, found = estimator.start(1), []
-    for k, y in enumerate(outputs):
-        belief = estimator.predict(belief, NO_INPUT) if k else belief
-        belief = estimator.update(belief, [[y]], NO_INPUT)
-        found.append(belief)
-    return found
+    return met(estimator, outputs[:, None])
 
 
 @pytest.mark.parametrize("window", [1, 2, 5])
@@ -159,14 +164,11 @@ def test_an_outlier_whose_step_has_none_is_gone_once_outputs_are_met(outlier, wi
         lambda x, w: ca.vertcat(x[0] + 0.3 * (x[1] - 0.5 * ca.sqrt(x[0])), x[1]) + w, lambda x: x, 2, 0,
         window=window, W=[1e-4, 1e-2], V=[1e-2, 1e-4], P0=[0.1, 0.1], x0=[1.0, 0.5],
     )  # fmt: skip
-    belief, said = estimator.start(1), []
-    for k in range(60):
-        belief = estimator.predict(belief, NO_INPUT) if k else belief
-        belief = estimator.update(belief, [[1.0, outlier if k == 10 else 0.5]], NO_INPUT)
-        said.append(belief.status[0].name)
+    beliefs = met(estimator, [[1.0, outlier if k == 10 else 0.5] for k in range(60)])
+    said = [belief.status[0].name for belief in beliefs]
     assert "HELD" in said[10:13]
     assert "HELD" not in said[13:]
-    np.testing.assert_allclose(belief.mean, [[1.0, 0.5]], atol=0.1)
+    np.testing.assert_allclose(beliefs[-1].mean, [[1.0, 0.5]], atol=0.1)
 
 
 @pytest.mark.parametrize("window", [1, 3])
@@ -201,13 +203,9 @@ def test_an_outlier_after_which_outputs_have_no_value_is_left_out_and_no_good_on
         lambda x, w: x + 0.1 * grown(x) + w, lambda x: ca.log(x), 2, 0, window=window, W=[1e-4, 1e-4], V=[1e-4, 1e-4],
         P0=[0.01, 0.01], x0=[1.0, 1.0],
     )  # fmt: skip
-    belief, said = estimator.start(1), []
-    for k in range(40):
-        belief = estimator.predict(belief, NO_INPUT) if k else belief
-        belief = estimator.update(belief, [[0.0, outlier if k == 10 else 0.0]], NO_INPUT)
-        said.append(belief.status[0].name)
-    assert said.count("HELD") <= 2
-    np.testing.assert_allclose(belief.mean, 1.0, atol=1e-3)
+    beliefs = met(estimator, [[0.0, outlier if k == 10 else 0.0] for k in range(40)])
+    assert [belief.status[0].name for belief in beliefs].count("HELD") <= 2
+    np.testing.assert_allclose(beliefs[-1].mean, 1.0, atol=1e-3)
 
 
 def test_antennas_that_tell_nearly_the_same_are_told_apart_as_by_the_kalman_filter():
