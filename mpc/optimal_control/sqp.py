@@ -161,9 +161,9 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
 
     Its variables are v = du + K dx with the gains of the regulator along the plan, for which the Hessian is block
     diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998). A program
-    begins with the limits that act in the plan and a third more, the nearest, and takes in what its solution passes, and
-    what is nearest until it has twice as many, until it passes none: its dense part grows with the limits that act, all
-    else with the horizon.
+    begins with the limits that act in the plan and a third more, the nearest, and takes in what its solution passes,
+    and what is nearest until it has twice as many, until it passes none: its dense part grows with the limits that act,
+    all else with the horizon.
     """
     known = np.concatenate([part.ravel() for part in (*local.about, local.by_state, local.by_input)])
     if not np.isfinite(known).all() or np.isnan(local.room).any():
