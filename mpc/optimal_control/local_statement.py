@@ -55,10 +55,11 @@ class Rows:
         by_input[count, steps] += self.by_input[which]
         return np.asarray(pulled(*along[:3], by_state, by_input[:, :N].copy())[0].reshape(len(which), N * nu))
 
-    def along(self, moves: Array, change: Array) -> Array:
-        """Changes (m,) by moves (N + 1, nx), (N, nu)."""
-        found = np.asarray(np.einsum("ij,ij->i", self.sides, both(moves, change)[self.steps]))
-        return found + np.einsum("ij,ij->i", self.by_before, change[self.steps - 1]) if self._before else found
+    def along(self, moves: Array, change: Array, which: Any = slice(None)) -> Array:
+        """Changes (m,) of some rows by moves (N + 1, nx), (N, nu)."""
+        steps = self.steps[which]
+        found = np.asarray(np.einsum("ij,ij->i", self.sides[which], both(moves, change)[steps]))
+        return found + np.einsum("ij,ij->i", self.by_before[which], change[steps - 1]) if self._before else found
 
     def pushed(self, pushes: Array, by_state: Array, by_input: Array) -> tuple[Array, Array]:
         """Slopes with those of the rows times multipliers."""

@@ -17,10 +17,11 @@ from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED
 
 
 class Missed(NamedTuple):
-    """Relative errors of the dynamics and of the cost, (N,) each."""
+    """Errors of the dynamics, relative, and of the cost, and what of that inputs at a bound would save, (N,) each."""
 
     dynamics: Array
     cost: Array
+    saved: Array
 
 
 def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
@@ -31,17 +32,19 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
-    quadrature; by collocation also limits that are passed between the points, by their multipliers. Zero for discrete
-    dynamics; infinite where the dynamics are not finite between the points.
+    quadrature; by collocation also limits that are passed between the points, by their multipliers, and inputs that
+    would be at a bound there, by the Hamiltonian. Zero for discrete dynamics; infinite where the dynamics are
+    not finite between the points.
 
     References
     ----------
     Betts, "Practical Methods for Optimal Control Using Nonlinear Programming", 3rd ed., SIAM 2020, section 4.7; Becker
-    and Rannacher, "An optimal control approach to a posteriori error estimation", Acta Numerica 10, 2001.
+    and Rannacher, "An optimal control approach to a posteriori error estimation", Acta Numerica 10, 2001; Agamawi,
+    Hager and Rao, "Mesh refinement method for solving bang-bang optimal control problems", AIAA SciTech Forum 2020.
     """
     scheme, N = phase.part.scheme, phase.part.intervals
     if phase.part.phase.discrete:
-        return Missed(np.zeros(N), np.zeros(N))
+        return Missed(*np.zeros((3, N)))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     along = _states(phase)
     largest, extent = np.abs(along).max(axis=0), np.ptp(along, axis=0)
@@ -55,7 +58,7 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
             found = _by_finer_steps(phase, scheme, multipliers)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
-    return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost)))
+    return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost, found.saved)))
 
 
 def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[str, Array]) -> Missed:
@@ -83,8 +86,33 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
     passed = np.maximum(_beyond(phase, k + at), 0.0).reshape(-1, N, len(tau))
     prices = _prices(phase, multipliers)
     of_limits = np.einsum("t,tj,kjm,mkt->k", weights, np.maximum(basis, 0.0), prices, passed, optimize=True)
-    of_cost = np.abs(of_cost) + of_limits
-    return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
+    along = np.einsum("tj,kji->kti", basis, costates).reshape(x.shape)
+    saved = _saved(phase, x, u, times, along).reshape(N, -1) @ weights
+    of_cost = np.maximum(np.abs(of_cost) + of_limits, saved)
+    return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost, h * saved)
+
+
+def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array) -> Array:
+    """How much smaller the Hamiltonian (n,) is with an input nearly at a bound, by which no limit is passed."""
+    functions, bounds = phase.part.functions, np.stack(phase.part.phase.u_bounds, axis=1)
+
+    def hamiltonian(inputs: Array) -> Array:
+        value = (costates * phase.evaluated(functions.dynamics, x, inputs, times).reshape(x.shape)).sum(axis=1)
+        if functions.stage_cost is not None:
+            value = value + phase.weight * phase.evaluated(functions.stage_cost, x, inputs, times).ravel()
+        return np.asarray(value)
+
+    def over(inputs: Array) -> Array:
+        known = functions.path is not None
+        return _over_path(phase, x, inputs, times).max(axis=0, initial=0.0) if known else np.zeros(len(x))
+
+    own, passed = hamiltonian(u), over(u)
+    least = own
+    for i, side in zip(*np.nonzero(np.isfinite(bounds))):
+        other = u.copy()
+        other[:, i] += (1 - LIMIT_PASSED) * (bounds[i, side] - u[:, i])
+        least = np.fmin(least, np.where(over(other) <= passed, hamiltonian(other), np.inf))
+    return np.asarray(own - least)
 
 
 def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
@@ -111,7 +139,8 @@ def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers:
     )
     ends = states[:, -1] - phase.states[1:]
     costates = multipliers["rows"][part.defects].reshape(ends.shape)
-    return Missed(np.abs(ends), phase.weight * (finer_cost - cost) + (costates * ends).sum(axis=1))
+    of_cost = phase.weight * (finer_cost - cost) + (costates * ends).sum(axis=1)
+    return Missed(np.abs(ends), of_cost, np.zeros(len(ends)))
 
 
 class Excess(NamedTuple):
@@ -280,13 +309,18 @@ def _beyond(phase: PhaseSolution, places: Array) -> Array:
 
 
 def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> Array:
-    """Violations (m, n) of path limits; infinite where no number."""
-    low, high = (side[:, None] for side in phase.part.functions.path_bounds)
+    """Violations (m, n) of hard path limits; infinite where no number."""
     free = np.isfinite(phase.part.functions.path_prices[0])  # for a price, or as what z is solved from
     free[len(free) - phase.part.phase.algebraics :] = True
+    return np.where(free[:, None], -np.inf, _over_path(phase, x, u, times))
+
+
+def _over_path(phase: PhaseSolution, x: Array, u: Array, times: Array) -> Array:
+    """Excess (m, n) over path limits; infinite where no number."""
+    low, high = (side[:, None] for side in phase.part.functions.path_bounds)
     values = phase.evaluated(phase.part.functions.path, x, u, times).T
     values = np.maximum(values - high, low - values)
-    return np.where(free[:, None], -np.inf, np.where(np.isnan(values), np.inf, values))
+    return np.where(np.isnan(values), np.inf, values)
 
 
 def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:

@@ -126,8 +126,8 @@ class QuadraticPlanner:
             found = clock.stamped(self._found(sample))
             wild = found.status not in OPTIMA
             if found.status is Status.FOLLOWED:
-                ahead = self._followed(x, first, given)
-                wild = self._total(found, given, dear) > 2 * self._total(ahead, given, dear)
+                total = self._total(found, given, dear)
+                wild = not total <= cost and total > 2 * self._total(self._followed(x, first, given), given, dear)
             if wild:
                 best = self._best(sample, found)
                 found = replace(best, status=Status.LATE) if found.status is Status.LATE else best

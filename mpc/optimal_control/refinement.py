@@ -42,15 +42,15 @@ PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, Opt
 
 
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
-           tolerance: float = 1e-6, of: str = "dynamics", rounds: int = 10, starts: Any = 1,
+           tolerance: float = 1e-6, of: str = "dynamics", rounds: int = 15, starts: Any = 1,
            time_limit: float | None = None, progress: bool = False, **options: Any) -> Solution:  # fmt: skip
     """Solve on meshes refined until the dynamics are met.
 
     Intervals in which a limit is passed between the points are cut, too. Where that does not help, as a trajectory
     jumps over an obstacle, it is looked for anew, from a guess that is moved aside.
 
-    Where an input jumps, intervals are cut to a tenth of the root of the tolerance: the cost feels the square of that,
-    parameters the length itself.
+    Where an input jumps, or would by the Hamiltonian, intervals are cut to a tenth of the root of the tolerance: the
+    cost feels the square of that, parameters the length itself.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     Solution
         SOLVED if its mesh meets the tolerance and limits are kept between the points. Else of the mesh that missed
         least, LIMITS_PASSED, COARSE or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed
-        as much as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the
-        cost's error.
+        as much as the one before and no jump was looked for; `advice` says which, and what tolerance was reached.
+        `cost_error` estimates the cost's error.
     """
     asked = as_share("tolerance", tolerance)
     if not isinstance(of, str) or of not in ("dynamics", "cost"):
@@ -135,7 +135,8 @@ class _Rounds:
                 return best, self._over(0) or f"{FINER} the problem is {finer.status.name}"
             through = finer.excess > max(JUMPED_LIMIT, MESH_GAIN * solution.excess)
             helped = self.missed(finer) <= max(MESH_GAIN * self.missed(solution), 1)
-            still = 0 if helped else MESHES_WITHOUT_GAIN if through else still + 1
+            lost = not any(map(np.any, self._jumps(solution)))  # a mesh that finds a jump may miss it by more at first
+            still = 0 if helped else MESHES_WITHOUT_GAIN if through else still + lost
             solution = finer
             best = solution if self.missed(solution) <= max(self.missed(best), 1) else best
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
@@ -165,6 +166,10 @@ class _Rounds:
         """Error of the dynamics, the cost or a limit, in tolerances [-]."""
         error = self.off(solution) / self.tolerance if self.of_cost else 0.0
         return max(error, solution.mesh_error / self.dynamics, solution.excess / LIMIT_PASSED)
+
+    def _jumps(self, solution: Solution) -> list[Flags]:
+        """Intervals of each phase in which inputs at a bound would save more than is tolerated."""
+        return [one.saved > self.tolerance * _size_of_cost(solution) for one in solution.missed]
 
     def off(self, solution: Solution) -> float:
         """Part of the cost by which it may be off [-]."""
@@ -219,9 +224,10 @@ class _Rounds:
         fine = not self.of_cost and solution.cost_error <= allowed
         share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)  # alike for each interval
         meshes = []
-        for phase, missed, passed in zip(solution.phases, solution.missed, solution.path_excess):
+        each = zip(solution.phases, solution.missed, solution.path_excess, self._jumps(solution))
+        for phase, missed, passed, jumps in each:
             errors = np.maximum(missed.cost / share, missed.dynamics / self.dynamics)  # in tolerances
-            meshes.append(_finer_mesh(phase, errors, passed.intervals / LIMIT_PASSED, self.tolerance))
+            meshes.append(_finer_mesh(phase, errors, passed.intervals / LIMIT_PASSED, jumps, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
 
@@ -269,8 +275,8 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
 
 
-def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
-    """Mesh cut where errors and violations (N,), which count from 1 on, or jumps ask for it."""
+def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, jumps: Flags, tolerance: float) -> Array:
+    """Mesh cut where errors and violations (N,), which count from 1 on, or `jumps` that are missed ask for it."""
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
     asked = np.clip((np.maximum(errors, 1.0) / MESH_SAFETY) ** (1 / order), 2, MOST_PARTS)
@@ -279,7 +285,7 @@ def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: f
     long = steps > JUMP_PLACE * np.sqrt(tolerance)
     parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
     crossing, swinging = _crossings(phase)
-    parts[crossing & ~swinging & long] = MOST_PARTS  # where an input jumps
+    parts[(jumps | crossing & ~swinging) & long] = MOST_PARTS  # where an input jumps
     parts[steps <= LEAST_INTERVAL] = 1
     if part.phase.discrete:
         return part.mesh

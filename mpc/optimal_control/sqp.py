@@ -340,7 +340,6 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     size = 1 / np.sqrt(2 * prices[given, 1])  # a violation of this size has the quadratic cost ½
     q = np.concatenate([_times(program.roots, program.gradient[None])[0], prices[given, 0] * size])
     violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots]
-    bounds = local.room - rows.along(*program.start)
     acting = np.where(program.held > 0, -np.inf, local.room / rows.units)
     near = np.count_nonzero(acting <= PRIMAL)
     fresh = np.argsort(acting)[: near + near // 3]
@@ -354,7 +353,8 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
         matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
         least = np.zeros((len(passing), len(q)))
         least[np.arange(len(least)), n + passing] = -1.0
-        sides = np.concatenate([bounds[taken], np.zeros(len(least))])
+        bounds = local.room[taken] - rows.along(*program.start, taken)
+        sides = np.concatenate([bounds, np.zeros(len(least))])
         units = np.concatenate([rows.units[taken], np.ones(len(least))])
         y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
         z = (program.roots @ y[:n].reshape(*program.roots.shape[:2], 1)).ravel()

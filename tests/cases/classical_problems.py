@@ -297,5 +297,4 @@ FREE_FLYING_ROBOT = Classical(
     ),
     7.91014874,
     "Betts, 2nd ed. 2010, section 6.13; Sakawa 1999",
-    {"intervals": 60},
 )

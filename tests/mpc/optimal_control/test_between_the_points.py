@@ -315,3 +315,16 @@ def test_a_limit_that_neither_state_nor_input_moves_is_no_obstacle():
     found = solve(build(phase, intervals=60))
     assert found.status is OptimalControlStatus.SOLVED
     assert 0 < found.excess < 1e-5
+
+
+@pytest.mark.parametrize("scheme", [Radau(3), HermiteSimpson()], ids=lambda scheme: scheme.name)
+def test_the_cost_is_off_by_no_more_than_thrice_what_is_told_where_inputs_jump(scheme):
+    # as much thrust as there is, none, and as much against it: t (4 − t) = 1 for the time t of each, and the cost is 2t
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u[0] - u[1]), 2, 2, start=[0, 0], end=[1, 0], duration=4.0, u_bounds=(0, 1),
+        stage_cost=lambda u: ca.sum1(u),
+    )  # fmt: skip
+    for intervals in range(10, 41, 3):
+        found = solve(build(phase, scheme, intervals))
+        assert found.solved_on_mesh
+        assert found.cost - 2 * (2 - np.sqrt(3)) <= 3 * found.cost_error, intervals

@@ -51,7 +51,8 @@ def test_refinement_finds_the_arc():
 
 
 @pytest.mark.check
-def test_a_robot_of_four_thrusters_reaches_its_published_least_fuel():
-    solution = refine(FREE_FLYING_ROBOT.phase, **FREE_FLYING_ROBOT.options)
+@pytest.mark.parametrize("intervals", [10, 25])
+def test_a_robot_of_four_thrusters_reaches_its_published_least_fuel(intervals):
+    solution = refine(FREE_FLYING_ROBOT.phase, intervals=intervals)
     assert solution.solved, solution.advice
     assert solution.cost <= FREE_FLYING_ROBOT.cost * (1 + 1e-6)

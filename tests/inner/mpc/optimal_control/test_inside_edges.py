@@ -40,7 +40,7 @@ def cut(first, errors, inputs):
     """Intervals of the mesh that refinement to 1e-4 makes of two, the first of them of the given length."""
     part = SimpleNamespace(scheme=Radau(3), mesh=np.array([0, first, 1.0]), phase=SimpleNamespace(discrete=False))
     phase = SimpleNamespace(part=part, stages=SimpleNamespace(inputs=np.array(inputs)))
-    return np.sum(_finer_mesh(phase, np.array(errors), np.zeros(2), 1e-4) <= first)
+    return np.sum(_finer_mesh(phase, np.array(errors), np.zeros(2), np.zeros(2, dtype=bool), 1e-4) <= first)
 
 
 @pytest.mark.parametrize(("length", "shorter"), [(3e-4, False), (3e-3, True)])
@@ -59,7 +59,7 @@ def test_intervals_are_as_short_as_they_may_be(length, shorter):
 def test_a_limit_that_a_finer_mesh_leaves_as_passed_is_jumped_over(excess, meshes, monkeypatch):
     passed = SimpleNamespace(
         excess=excess, mesh_error=0.0, solved_on_mesh=True, program=SimpleNamespace(problem=None),
-        phases=[SimpleNamespace(part=SimpleNamespace(scheme=None))],
+        phases=[SimpleNamespace(part=SimpleNamespace(scheme=None))], missed=[],
     )  # fmt: skip
     made = []
     monkeypatch.setattr(refinement, "build", lambda *a, **k: SimpleNamespace(lower=[]))
