@@ -171,7 +171,7 @@ class Told:
 
     def _counted(self, *given: Any, **stated: Any) -> Any:
         step = next_step(*given, **stated)
-        self._programs += step.size > 0  # without a move it only confirms
+        self._programs += step is None or step.size > 0  # without a move it only confirms
         return step
 
     def reset(self) -> None:

@@ -97,7 +97,7 @@ def loops() -> None:
     def counted(*given: Any, **stated: Any) -> Any:
         """Next step; one that does not move only confirms."""
         step = next_step(*given, **stated)
-        programs[-1] += step.size > 0
+        programs[-1] += step is None or step.size > 0
         return step
 
     loop_planner.next_step = paths.next_step = counted

@@ -68,8 +68,7 @@ class DiscreteModel:
         self.derivatives = ca.Function(
             "derivatives", columns, [value, *derivatives[:2]], names, ["next", "A", "B"], {"cse": True}
         )
-        self._at = Buffered(self.derivatives)
-        self._by_disturbance = Buffered(ca.Function("by_disturbance", columns, [derivatives[2]], {"cse": True}))
+        self._at = Buffered(ca.Function("at", columns, [value, *derivatives], {"cse": True}))
         self._linearised = Buffered(self.derivatives.map("linearised", "serial", horizon, [3], []))
         self._one = Buffered(step)
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
@@ -96,14 +95,10 @@ class DiscreteModel:
         A, B = A.reshape(N, nx, nx), B.reshape(N, -1, nx)
         return f, np.ascontiguousarray(A.transpose(0, 2, 1)), np.ascontiguousarray(B.transpose(0, 2, 1))
 
-    def linearised_at(self, x: Array, u: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Next state, A and B at one point."""
-        f, A, B = self._at(x, u, w, p)
-        return f[0], A.T, B.T
-
-    def by_disturbance(self, x: Array, u: Array, w: Array, p: Array) -> Array:
-        """Derivatives (nx, nw) of the next state by w."""
-        return self._by_disturbance(x, u, w, p)[0].T
+    def linearised_at(self, x: Array, u: Array, w: Array, p: Array) -> tuple[Array, Array, Array, Array]:
+        """Next state, A, B and E at one point."""
+        f, A, B, E = self._at(x, u, w, p)
+        return f[0], A.T, B.T, E.T
 
     def along_signals(self, w: Array, p: Array) -> PlanModel:
         """Derivatives along plans under signals w (N, nw) with parameters p (np,)."""

@@ -129,14 +129,8 @@ class BestIterate(ca.Callback):
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
-        self._sizes = {
-            "x": unknowns,
-            "f": 1,
-            "g": rows,
-            "lam_x": unknowns,
-            "lam_g": rows,
-            "lam_p": 2 * (unknowns + rows) + 1,
-        }
+        self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows}
+        self._sizes["lam_p"] = 2 * (unknowns + rows) + 1
         self.construct("best", {})
 
     def begin(self, given: dict[str, Any], best: bool, clock: Clock) -> None:
@@ -147,14 +141,6 @@ class BestIterate(ca.Callback):
     def get_n_in(self) -> int:
         """Number of arguments, for CasADi."""
         return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        """Number of results, for CasADi."""
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        """Name of an argument, for CasADi."""
-        return str(ca.nlpsol_out(i))
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         """Sparsity of an argument, for CasADi."""

@@ -177,7 +177,7 @@ class LoopPlanner:
         """Optimum with the multipliers of a program about it, which confirms it."""
         local = self._local(x, given, plan.states, plan.inputs)
         step = next_step(local, PRICE * local.force, relaxed=plan.status is Status.SOFTENED, times=PRICE)
-        if not step.solved:
+        if step is None:
             return plan
         still = min(step.error, step.size) <= KKT**0.5
         status = plan.status if still or plan.status is Status.SOFTENED else Status.INACCURATE
@@ -187,7 +187,7 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
-        run = Run(program, self.settings, clock.began)
+        run = Run(program, self.settings, clock)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:

@@ -53,7 +53,7 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
     size = np.where(largest > ROUNDED_SUM * scale, size, np.maximum(size, PRIMAL * scale))
     with np.errstate(over="ignore", invalid="ignore"):  # of what is no number between the points
         if isinstance(scheme, Collocation):
-            found = _by_residual(phase, scheme, multipliers)
+            found = _by_residual(program, phase, scheme, multipliers)
         else:
             found = _by_finer_steps(phase, scheme, multipliers)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
@@ -61,7 +61,9 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
     return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost, found.saved)))
 
 
-def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[str, Array]) -> Missed:
+def _by_residual(
+    program: NonlinearProgram, phase: PhaseSolution, scheme: Collocation, multipliers: dict[str, Array]
+) -> Missed:
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
@@ -87,14 +89,16 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
     prices = _prices(phase, multipliers)
     of_limits = np.einsum("t,tj,kjm,mkt->k", weights, np.maximum(basis, 0.0), prices, passed, optimize=True)
     along = np.einsum("tj,kji->kti", basis, costates).reshape(x.shape)
-    saved = _saved(phase, x, u, times, along).reshape(N, -1) @ weights
+    low, high = (np.stack(part.unknowns(side)[3]) for side in (program.lower, program.upper))  # (points, nu, N)
+    bounds = np.stack([low.max(axis=0), high.min(axis=0)])[:, :, k]
+    saved = _saved(phase, x, u, times, along, bounds).reshape(N, -1) @ weights
     of_cost = np.maximum(np.abs(of_cost) + of_limits, saved)
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost, h * saved)
 
 
-def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array) -> Array:
-    """How much smaller the Hamiltonian (n,) is with an input nearly at a bound, by which no limit is passed."""
-    functions, bounds = phase.part.functions, np.stack(phase.part.phase.u_bounds, axis=1)
+def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array, bounds: Array) -> Array:
+    """How much smaller the Hamiltonian (n,) is with an input nearly at its bound (2, nu, n), if that passes no limit."""
+    functions = phase.part.functions
 
     def hamiltonian(inputs: Array) -> Array:
         value = (costates * phase.evaluated(functions.dynamics, x, inputs, times).reshape(x.shape)).sum(axis=1)
@@ -108,9 +112,9 @@ def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Arr
 
     own, passed = hamiltonian(u), over(u)
     least = own
-    for i, side in zip(*np.nonzero(np.isfinite(bounds))):
+    for side, i in zip(*np.nonzero(np.isfinite(bounds).all(axis=2))):
         other = u.copy()
-        other[:, i] += (1 - LIMIT_PASSED) * (bounds[i, side] - u[:, i])
+        other[:, i] += (1 - LIMIT_PASSED) * (bounds[side, i] - u[:, i])
         least = np.fmin(least, np.where(over(other) <= passed, hamiltonian(other), np.inf))
     return np.asarray(own - least)
 

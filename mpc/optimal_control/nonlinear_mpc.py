@@ -178,7 +178,7 @@ class NonlinearMPC(Immutable):
             expected = "quadratic costs and polytopes, for C code, derivatives, steady states and offset-free control"
             raise InputError("step", "a Phase", expected, cure)
         x, u, w = np.zeros(self.states), np.zeros(self.inputs), np.zeros(self.disturbances)
-        f, A, B = self.model.linearised_at(x, u, w, self.p)
+        f, A, B, E = self.model.linearised_at(x, u, w, self.p)
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
@@ -186,10 +186,10 @@ class NonlinearMPC(Immutable):
         if np.abs(f / sizes).max() > STEADY:
             got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
-        E = self.model.by_disturbance(x, u, w, self.p) if self.disturbances else None
         try:
             law = MPCProblem(
-                A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
+                A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U,
+                E=E if self.disturbances else None,
                 terminal_set=None if self._invariant else self.terminal_set, rate_limit=self.rate_limit, soft=self.soft,
                 uses=self.uses, mean=self.mean,
             )  # fmt: skip

@@ -80,9 +80,8 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         problem, model, p = self.problem, self.mpc.model, self.mpc.p
         x = as_array("x", x, (problem.nx,))
         u = as_array("u", u, (problem.nu,))
-        error = as_array("x_next", x_next, (problem.nx,)) - model.next(x, u, self.disturbance, p)
-        scale = 1 / problem.state_extent
-        E = model.by_disturbance(x, u, self.disturbance, p)
+        after, _, _, E = model.linearised_at(x, u, self.disturbance, p)
+        error, scale = as_array("x_next", x_next, (problem.nx,)) - after, 1 / problem.state_extent
         if not (np.isfinite(error).all() and np.isfinite(E).all()):
             return self
         seen = np.linalg.lstsq(E * scale[:, None], error * scale, rcond=None)[0]
@@ -110,7 +109,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         at = np.zeros(len(size))
         for _ in range(20):  # Newton steps
             x, u = np.split(at, [problem.nx])
-            after, A, B = model.linearised_at(x, u, w, p)
+            after, A, B, _ = model.linearised_at(x, u, w, p)
             if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
                 return np.zeros(len(size)), False
             found = SteadyStates(problem, A, B, self.C).nearest(after - A @ x - B @ u, r)

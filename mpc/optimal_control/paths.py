@@ -37,7 +37,7 @@ class Path:
     @property
     def newton(self) -> bool:
         """Whether the Hessian of its program is the Lagrangian's."""
-        return self.last is not None and self.last.program is not None and self.last.program.of is not None
+        return self.last is not None and self.last.program.of is not None
 
     @property
     def balanced(self) -> Multipliers | None:
@@ -70,7 +70,7 @@ def programs(at: Path, stated: Callable[[Array, Array], Local], clock: Clock, *,
         dear = VIOLATION_PRICE * local.force if dear is None else dear
         relaxed = at.last is not None and at.last.relaxed
         step = next_step(local, dear, relaxed=relaxed, times=times, multipliers=at.multipliers, last=at.last)
-        if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
+        if step is None or not (np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
             return
         at = replace(at, gains=step.gains, last=step)
         yield at

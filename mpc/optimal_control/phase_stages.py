@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.checks import Array, Flags
+from mpc.checks import Array
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import Buffered
 from mpc.optimal_control.local_statement import Local, Multipliers, Rows, largest
@@ -35,6 +35,16 @@ class PhaseStages:
         compile_kernels()
         self._bounds = _Sides(low, high)
         self._path, self._end = _Sides(*f.path_bounds), _Sides(*f.boundary_bounds)
+        counting, of = loop.counting(self.part), self._path.of
+        before, beyond = N * len(self._bounds.of), len(self._end.of)  # rows of inputs and of the end, about those along
+        priced = np.isfinite(f.path_prices[0])
+        along = np.tile((loop.of(self.part, "x") | priced)[of], N + 1)
+        self._free = before + np.flatnonzero(~counting[:, of])  # path limits that do not count
+        # rows (m,) that may be passed: those of states after the first, and those that have a price
+        self._give = np.concatenate([np.zeros(before, dtype=bool), along, np.ones(beyond, dtype=bool)])
+        self._give[self._free] = False
+        hard, prices = np.full((before + beyond, 2), np.inf), np.tile(f.path_prices.T[of], (N + 1, 1))
+        self._prices = np.vstack([hard[:before], prices, hard[before:]])  # (m, 2): infinite where limits are hard
         kind = kind_of(f.dynamics, f.stage_cost, f.path, f.terminal_cost, f.boundary)
         lengths = {"x": self.nx, "u": self.nu, "p": len(loop.p) + 1, "t": 1, "x0": self.nx}
         x, u, p, t, x0 = (kind.sym(name, length) for name, length in lengths.items())
@@ -43,8 +53,8 @@ class PhaseStages:
         last = kind(last)
         ends = [] if f.boundary is None else [f.boundary(x0, x, kind(0, 1), 0, t, p)]
         stage = [after], kind(f.cost_at(*at)), f.path_at(*at), [x, u, p, t]
-        counting = ca.sparsify(ca.DM(loop.counting(self.part)[-1].astype(float)))
-        end: Any = [], last, ca.vertcat(counting * f.path_at(*at), *ends), [x, u, p, t, x0]
+        at_end = ca.sparsify(ca.DM(counting[-1].astype(float)))
+        end: Any = [], last, ca.vertcat(at_end * f.path_at(*at), *ends), [x, u, p, t, x0]
         (self._stage, self._stage_bent), (self._last, self._last_bent) = (
             tuple(Buffered(one.map("along", "serial", count, shared, [])) for one in _slopes(kind, *of))
             for of, count, shared in ((stage, N, [2]), (end, 1, []))
@@ -61,30 +71,6 @@ class PhaseStages:
         found.slots[self._give] = np.arange(np.count_nonzero(self._give))
         found.later[self._free] = self._free
         return found
-
-    @cached_property
-    def _give(self) -> Flags:
-        """Rows (m,) that may be passed: those of states after the first, and those that have a price."""
-        N, given = self.loop.horizon, np.isfinite(self.functions.path_prices[0])
-        own = (self.loop.of(self.part, "x") | given)[self._path.of]
-        inputs, ends = np.zeros(N * len(self._bounds.of), dtype=bool), np.ones(len(self._end.of), dtype=bool)
-        found = np.concatenate([inputs, np.tile(own, N + 1), ends])
-        found[self._free] = False
-        return found
-
-    @cached_property
-    def _prices(self) -> Array:
-        """Prices (m, 2) of violations, infinite where limits are hard."""
-        N, hard = self.loop.horizon, np.inf
-        path = np.tile(self.functions.path_prices.T[self._path.of], (N + 1, 1))
-        inputs, ends = N * len(self._bounds.of), len(self._end.of)
-        return np.vstack([np.full((inputs, 2), hard), path, np.full((ends, 2), hard)])
-
-    @cached_property
-    def _free(self) -> Any:
-        """Path limits that do not count."""
-        counting = self.loop.counting(self.part)[:, self._path.of]
-        return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~counting)
 
     def at(self, z: Array, states: Array, inputs: Array, p: Array, w: Array) -> Local:
         """Statement at a plan from z (nz,) with parameters and time p."""

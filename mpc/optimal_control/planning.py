@@ -29,14 +29,19 @@ class Clock:
     longest: float = 0.0
 
     @property
+    def taken(self) -> float:
+        """Time since it began."""
+        return time.perf_counter() - self.began
+
+    @property
     def late(self) -> bool:
         """Whether the time is up."""
-        return time.perf_counter() - self.began > self.limit
+        return self.taken > self.limit
 
     @property
     def left(self) -> float:
         """Time that is left for a solver."""
-        return max(self.began + self.limit - time.perf_counter(), LEAST_SECONDS)
+        return max(self.limit - self.taken, LEAST_SECONDS)
 
     @property
     def up(self) -> bool:
@@ -48,7 +53,7 @@ class Clock:
     def stamped(self, plan: Plan) -> Plan:
         """Plan with its time, LATE where that was up."""
         status = Status.LATE if self.late else plan.status
-        return replace(plan, status=status, solve_time=time.perf_counter() - self.began)
+        return replace(plan, status=status, solve_time=self.taken)
 
 
 def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -12,11 +11,12 @@ import numpy as np
 from tqdm import tqdm
 
 from ccdtools_ground.door import as_share, brief
-from mpc.budgets import LEAST_SECONDS, MESH_SAFETY, MESHES_WITHOUT_GAIN, MOST_PARTS
+from mpc.budgets import MESH_SAFETY, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, shaken
 from mpc.optimal_control.schemes import Collocation, Scheme
@@ -86,13 +86,13 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     asked = as_share("tolerance", tolerance)
     if not isinstance(of, str) or of not in ("dynamics", "cost"):
         raise InputError("of", brief(repr(of)), "'dynamics' or 'cost'")
-    began, meshes, seconds = time.perf_counter(), as_count("rounds", rounds), as_seconds("time_limit", time_limit)
+    clock, meshes = Clock(as_seconds("time_limit", time_limit)), as_count("rounds", rounds)
     with tqdm(total=meshes, desc="refining", disable=not progress, leave=False) as bar:
-        run = _Rounds(options, asked, of, meshes - 1, began + seconds, bar)
+        run = _Rounds(options, asked, of, meshes - 1, clock, bar)
         program = build(problem, scheme, intervals)
         solution, reason, ends = run.best_of(program, starts)
         for seed in range(3):  # each guess on a mesh twice as fine
-            if not _jumps_over(solution) or time.perf_counter() >= run.end:
+            if not _jumps_over(solution) or clock.late:
                 break
             halved = [np.sort(np.r_[part.mesh, (part.mesh[:-1] + part.mesh[1:]) / 2]) for part in program.parts]
             program = build(program.problem, scheme, meshes=halved)
@@ -103,19 +103,19 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
                 solution, reason = other, ended
         if solution.solved_on_mesh and not reason and _reach_bounds(solution):
             solution = run.sharpened(solution)
-        return _ended(replace(solution, ends=ends), reason, run, began)
+        return _ended(replace(solution, ends=ends), reason, run)
 
 
 class _Rounds:
     """Solves on finer and finer meshes."""
 
-    def __init__(self, options: dict[str, Any], tolerance: float, of: str, left: int, end: float, bar: Any) -> None:
+    def __init__(self, options: dict[str, Any], tolerance: float, of: str, left: int, clock: Clock, bar: Any) -> None:
         self.options = options
         self.tolerance = tolerance
         self.of_cost = of == "cost"
         self.dynamics = COARSE_MESH if self.of_cost else tolerance
         self.left = left
-        self.end = end
+        self.clock = clock
         self.bar = bar
         self.iterations = [0]
         self.most = sys.maxsize
@@ -146,13 +146,13 @@ class _Rounds:
         rounds = self.left
         if as_starts(starts) == 1:
             return *self.refined(self.solved(program, None)), ()
-        first = optima(program, starts=starts, time_limit=self._seconds, **self.options)
+        first = optima(program, starts=starts, time_limit=self.clock.left, **self.options)
         self.iterations[0] += first[0].iterations
         best, reason = self.refined(first[0])
         ended = {(first[0].status, first[0].cost): best}
         for other in first[1:]:
             dearer = best.solved and other.cost - other.cost_error > best.cost
-            if dearer or time.perf_counter() >= self.end:
+            if dearer or self.clock.late:
                 continue
             self.left = rounds
             finer, missed = self.refined(other)
@@ -177,7 +177,7 @@ class _Rounds:
 
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""
-        if time.perf_counter() >= self.end:
+        if self.clock.late:
             return NO_TIME
         if not self.left:
             return NO_ROUNDS
@@ -198,7 +198,7 @@ class _Rounds:
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
         """Solution from `start`, else from the guess."""
         found = self._once(program, self.options if start is None else self.options | {"start": start})
-        if not found.solved_on_mesh and start is not None and time.perf_counter() < self.end:
+        if not found.solved_on_mesh and start is not None and not self.clock.late:
             fresh = self._once(program, {name: value for name, value in self.options.items() if name != "start"})
             found = min(found, fresh, key=lambda one: (not one.solved_on_mesh, one.residuals.worst))
         if found.solved_on_mesh:
@@ -207,14 +207,9 @@ class _Rounds:
         self.bar.update()
         return found
 
-    @property
-    def _seconds(self) -> float | None:
-        """Time left."""
-        return max(self.end - time.perf_counter(), LEAST_SECONDS) if np.isfinite(self.end) else None
-
     def _once(self, program: NonlinearProgram, options: dict[str, Any]) -> Solution:
         """One solve in the time left."""
-        found = solve(program, time_limit=self._seconds, **options)
+        found = solve(program, time_limit=self.clock.left, **options)
         self.iterations[0] += found.iterations
         return found
 
@@ -253,9 +248,9 @@ def _jumps_over(solution: Solution) -> bool:
     return solution.status in PASSING and solution.excess > LIMIT_PASSED
 
 
-def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solution:
+def _ended(solution: Solution, reason: str, run: _Rounds) -> Solution:
     """Best solution, with a reason where tolerances are missed."""
-    found = replace(solution, iterations=run.iterations[0], solve_time=time.perf_counter() - began)
+    found = replace(solution, iterations=run.iterations[0], solve_time=run.clock.taken)
     if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found
     of_cost = run.of_cost and run.off(solution) / run.tolerance >= solution.mesh_error / run.dynamics

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -114,19 +113,18 @@ class _Tries:
     def __init__(self, program: NonlinearProgram, settings: Settings) -> None:
         self.program = program
         self.settings = settings
-        self.began = time.perf_counter()
+        self.clock = Clock(settings.seconds)
         self.tried: list[tuple[Run, Found]] = []
         self.iterations = 0
 
     def begin_at(self, place: Solution | Array) -> None:
         """Solve from a solution or unknowns (n,), if there is time left."""
-        end = self.began + self.settings.seconds
-        if self.tried and time.perf_counter() >= end:
+        if self.tried and self.clock.late:
             return
         warm = isinstance(place, Solution)
         guess, multipliers = _from_solution(self.program, place) if isinstance(place, Solution) else (place, None)
         sized = sized_as(self.program, place.program) if isinstance(place, Solution) else self.program
-        run = Run(sized, self.settings, self.began)
+        run = Run(sized, self.settings, self.clock)
         found = run.solved(np.clip(guess, self.program.lower, self.program.upper), multipliers, warm=warm)
         if found.ended and not found.iterations and not warm:
             found = run.elsewhere(found)
@@ -137,8 +135,7 @@ class _Tries:
         free, run = without_limits(self.program), self.tried[0][0]
         if count and free is not self.program:
             v = once(free, v, None, run.left(warm=False)).v
-        end = self.began + self.settings.seconds
-        places, self.iterations = promising(self.program, v, count, self.settings, end) if count else ([], 0)
+        places, self.iterations = promising(self.program, v, count, self.settings, self.clock) if count else ([], 0)
         for place in places:
             self.begin_at(place)
 
@@ -182,11 +179,11 @@ def as_settings(tolerance: Any = 1e-8, max_iterations: Any = USUAL_ITERATIONS, t
 class Run:
     """Solver calls of one solve, within one time limit."""
 
-    def __init__(self, program: NonlinearProgram, settings: Settings, began: float | None = None) -> None:
+    def __init__(self, program: NonlinearProgram, settings: Settings, clock: Clock) -> None:
         self.program = program
         self.settings = settings
         self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
-        self.clock = Clock(settings.seconds, time.perf_counter() if began is None else began)
+        self.clock = clock
         self.iterations = 0
 
     def left(self, warm: bool) -> Settings:
@@ -331,7 +328,7 @@ class Run:
         return Solution(
             program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
             residuals=found.residuals, conflicts=conflicts, notes=notes, multipliers=multipliers,
-            iterations=self.iterations, solve_time=time.perf_counter() - self.clock.began, solver="ipopt",
+            iterations=self.iterations, solve_time=self.clock.taken, solver="ipopt",
             message=found.said,
         ).looked_between()  # fmt: skip
 

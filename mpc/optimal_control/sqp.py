@@ -34,9 +34,8 @@ class Step:
     # how far inputs would still move, in parts of their limits, and what part of the cost that would save
     stationarity: float
     relaxed: bool  # whether limits of states had to be relaxed
-    solved: bool
-    program: _Program | None = None
-    _balanced: Callable[[], Multipliers] = lambda: Multipliers(np.zeros(0), np.zeros(0))
+    program: _Program
+    _balanced: Callable[[], Multipliers]
 
     @cached_property
     def multipliers(self) -> Multipliers:
@@ -52,13 +51,11 @@ class Step:
     def hessian(self) -> Array:
         """Lagrangian's Hessian at the plan, with its own multipliers."""
         own, on = self.program, self.multipliers
-        return own.hessian if own is not None and own.curves_as(self.local, on) else self.local.hessian(on)
+        return own.hessian if own.curves_as(self.local, on) else self.local.hessian(on)
 
     @property
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
-        if self.program is None:
-            return False
         sizes = np.concatenate(self.local.sizes)
         most = largest(sizes[:, None] * self.hessian * sizes) or 1.0
         return not self._curved(NEGLIGIBLE * most / sizes**2)  # what costs nothing is none
@@ -66,12 +63,11 @@ class Step:
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
-        return self.program is not None and self._curved(np.zeros(self.hessian.shape[1]))
+        return self._curved(np.zeros(self.hessian.shape[1]))
 
     def _curved(self, more: Array) -> bool:
         """Whether it, with more on its diagonal, rises along limits that push."""
         own, on, local = self.program, self.multipliers, self.local
-        assert own is not None
         if own.hessian is self.hessian:
             return True
         held = _held(local, own.dear, on.pushes, self.relaxed)
@@ -151,8 +147,8 @@ class _Program:
 
 
 def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float = 1.0,
-              multipliers: Multipliers | None = None, last: Step | None = None) -> Step:  # fmt: skip
-    """Move of a plan, none at an optimum.
+              multipliers: Multipliers | None = None, last: Step | None = None) -> Step | None:  # fmt: skip
+    """Move of a plan, without one at an optimum; None where no program is solved.
 
     `dear`, so many `times`, is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear
     and quadratic.
@@ -167,7 +163,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     """
     known = np.concatenate([part.ravel() for part in (*local.about, local.by_state, local.by_input)])
     if not np.isfinite(known).all() or np.isnan(local.room).any():
-        return _failed(local)
+        return None
     if last is not None and multipliers is not None:
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
@@ -177,8 +173,10 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
         tried.insert(1, replace(multipliers, hessian=None))
     program = next(filter(None, (_program(local, dear, one, relaxed) for one in tried)), None)
     if program is None:
-        return _failed(local)
+        return None
     z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
+    if not solved:
+        return None
     moves, change = program.moves(z)
     curvature = program.curvature(z)
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
@@ -188,13 +186,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
     found = local, moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
-    return Step(*found, relaxed, solved, program, balanced)
-
-
-def _failed(local: Local) -> Step:
-    """Step of no program."""
-    none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
-    return Step(local, local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
+    return Step(*found, relaxed, program, balanced)
 
 
 def carried(plan: Plan, rows: Rows) -> Multipliers | None:
@@ -216,7 +208,6 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     Gradients are weighed as in the program before. A row that pushes has no room, and a violation its price.
     """
     program, rows, pushes = last.program, local.rows, multipliers.pushes
-    assert program is not None
     none = np.zeros_like(local.by_state), np.zeros_like(local.by_input)
     parts = (local.by_state, none[1]), (none[0], local.by_input), rows.pushed(pushes, *none)
     by_state, by_input = (np.stack(side) for side in zip(*parts))

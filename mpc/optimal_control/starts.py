@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -16,6 +15,7 @@ from mpc.optimal_control.bounds import as_guess
 from mpc.optimal_control.interval import first_guess, placed
 from mpc.optimal_control.ipopt import Found, Settings, once
 from mpc.optimal_control.phase import evaluated, interpolated
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, shaken
 from mpc.optimal_control.schemes import runge_kutta
 
@@ -51,7 +51,7 @@ def without_limits(program: NonlinearProgram) -> NonlinearProgram:
     return program if same else replace(program, row_lower=lower, row_upper=upper)
 
 
-def promising(program: NonlinearProgram, about: Array, count: int, settings: Settings, end: float, *,
+def promising(program: NonlinearProgram, about: Array, count: int, settings: Settings, clock: Clock, *,
               each: int = 4, iterations: int = 10) -> tuple[list[Array], int]:  # fmt: skip
     """Unknowns (n,) to begin at, and the iterations that finding them took.
 
@@ -66,7 +66,7 @@ def promising(program: NonlinearProgram, about: Array, count: int, settings: Set
     short = replace(settings, iterations=min(iterations, settings.iterations), seconds=np.inf)
     found: list[Found] = []
     for seed in range(each * count):
-        if time.perf_counter() >= end:
+        if clock.late:
             break
         near = shaken(program, seed, about=about, size=(1 + seed) / (each * count), waves=3)
         found.append(once(program, _rolled(program, seed) if seed % 2 else near, None, short))

@@ -11,7 +11,7 @@ from mpc.checks import Array, Flags
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
-from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
+from mpc.sensitivities.changes import Changes, PlanModel
 from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import KKT, KKT_REPORTED, NEAR_OPTIMUM, PRIMAL, ROUNDED_SUM
@@ -93,11 +93,9 @@ class IdleRows:
     @classmethod
     def at(cls, linear: Linearised, rates: Array) -> IdleRows:
         """Idle rows at an optimum with rates (n, nt)."""
-        met = linear.on_bound & linear.own & ~linear.point.acting
+        met = linear.on_bound & linear.own & ~linear.point.acting & ~linear.idle_slacks
         acting = linear.rows[linear.point.acting][:, linear.free] * linear.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(linear.scale), 0))
-        touched = {linear.labels[i].step for i in np.flatnonzero(linear.on_bound) if linear.labels[i].kind in SOFTENED}
-        met &= np.array([label.kind != "slack" or label.step in touched for label in linear.labels], dtype=bool)
         rows = linear.rows[:, linear.free] * linear.scale
         length = np.linalg.norm(rows, axis=1)
         left = rows - rows @ basis @ basis.T

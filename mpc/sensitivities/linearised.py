@@ -133,6 +133,9 @@ class Linearised:
             self.rows[i, at["p"]] -= point.slacks[k] * change
         self.units = row_units(problem, self.labels)
         self.on_bound = self.values >= -KKT_REPORTED * self.units  # rows that hold with equality
+        near = {self.labels[i].step for i in np.flatnonzero(self.on_bound) if self.labels[i].kind in SOFTENED}
+        idle = [label.kind == "slack" and label.step not in near for label in self.labels]
+        self.idle_slacks = np.array(idle, dtype=bool)  # of steps that keep their limits
         held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         own = [label.kind != "input" or not held[label.step] for label in self.labels]
         self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
@@ -181,7 +184,7 @@ class Linearised:
 
     def with_multipliers(self) -> Point:
         """The point with multipliers >= 0 that best balance the gradient."""
-        met = np.flatnonzero((self.values >= -KKT_REPORTED * self.units) & self.own)
+        met = np.flatnonzero(self.on_bound & self.own)
         multipliers = np.zeros(len(self.rows))
         scaled = self.rows[met][:, self.free] * self.scale
         length = np.linalg.norm(scaled, axis=1)
@@ -211,10 +214,4 @@ class Linearised:
     def acting(self, multipliers: Array) -> Flags:
         """Whether each row (m,) pushes, or is an unpushed slack at zero."""
         pushing = self.worth(multipliers) > KKT_REPORTED
-        near = {
-            label.step
-            for label, value, unit in zip(self.labels, self.values, self.units)
-            if label.kind in SOFTENED and value >= -KKT_REPORTED * unit
-        }
-        idle = [label.kind == "slack" and label.step not in near for label in self.labels]
-        return np.asarray(pushing | np.array(idle, dtype=bool))
+        return np.asarray(pushing | self.idle_slacks)

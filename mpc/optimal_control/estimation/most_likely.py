@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 
-from mpc.budgets import GUESSED_STEPS, LEAST_SECONDS
+from mpc.budgets import GUESSED_STEPS
 from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.estimation.curvature import beside, downhill
 from mpc.optimal_control.estimation.information import Information, information
 from mpc.optimal_control.estimation.marginal import Spread, observed, spread_of
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
 from mpc.optimal_control.solution import Solution
@@ -21,20 +21,20 @@ from mpc.tolerances import NEAR_OPTIMUM
 
 
 def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any],
-                end: float) -> tuple[Solution, Information | None]:  # fmt: skip
-    """Most likely solution, and what its data tell, sought until the clock reads `end`.
+                clock: Clock) -> tuple[Solution, Information | None]:  # fmt: skip
+    """Most likely solution, and what its data tell, sought in time.
 
     Beside a disturbance that of the parameters alone, by Newton's method: what the joint likelihood lacks enters as a
     cost of p. Where that curves downwards nothing is found.
     """
-    solves = _Solves(residual, p_size, options, end)
+    solves = _Solves(residual, p_size, options, clock)
     solution, known = solves.minimum(problem)
     if not (problem.phases[0].inputs and problem.parameters):
         return solution, known
     spread: Spread | None = None
     best = solution
     for _ in range(GUESSED_STEPS):
-        if solves.late:
+        if clock.late:
             return solution, None
         if known is None:
             break
@@ -48,22 +48,17 @@ def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: A
 class _Solves:
     """Solves within one time limit."""
 
-    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any], end: float) -> None:
+    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any], clock: Clock) -> None:
         self.residual = residual
         self.p_size = p_size
         self.options = {"intervals": 1} | options
-        self.end = end
-
-    @property
-    def late(self) -> bool:
-        """Whether the time is up."""
-        return time.perf_counter() >= self.end
+        self.clock = clock
 
     def minimum(self, problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
         """Solution that no direction leads down from, and what data tell."""
         solution = self._refined(problem, self.options | own)
         known, move = self._looked_at(solution)
-        if move is None or self.late:
+        if move is None or self.clock.late:
             return solution, known if move is None else None
         anew = {name: value for name, value in self.options.items() if name != "start"}
         other = self._refined(beside(problem, solution, move), anew)
@@ -80,9 +75,8 @@ class _Solves:
 
     def _refined(self, problem: OptimalControlProblem, options: dict[str, Any]) -> Solution:
         """Solution on a mesh that is refined, in the time left."""
-        left = max(self.end - time.perf_counter(), LEAST_SECONDS)
         try:
-            return refine(problem, **options | {"time_limit": left})
+            return refine(problem, **options | {"time_limit": self.clock.left})
         except InputError as error:
             if error.argument != "guess":
                 raise

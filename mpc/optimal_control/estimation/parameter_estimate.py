@@ -148,15 +148,11 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
     cost = solution.cost - (0.0 if of_spread is None else float(of_spread(solution.p)))
     variance = 2 * cost / degrees if degrees else np.nan
     deviation = 1.0 if noise_known else np.sqrt(variance)
-    whole = known.covariance(deviation)
-    places = {int(place): i for i, place in enumerate(known.places)}
-
-    def of(i: int, j: int) -> float:
-        """Covariance of two unknowns, 0 for what is given."""
-        return float(whole[places[i], places[j]]) if i in places and j in places else 0.0
-
-    covariance = np.array([[of(i, j) for j in p_places] for i in p_places]).reshape(len(p_places), len(p_places))
-    starts = np.sqrt([[of(i, i) for i in first] for first in firsts])
+    unknowns = np.concatenate([p_places, firsts.ravel()])
+    free, whole = np.isin(unknowns, known.places), np.zeros((len(unknowns),) * 2)  # 0 for what is given
+    whole[np.ix_(free, free)] = known.covariance(deviation)
+    covariance = whole[: len(p_places), : len(p_places)]
+    starts = np.sqrt(np.diag(whole)[len(p_places) :]).reshape(firsts.shape)
     open_ = known.named(deviation)
     status = EstimationStatus.OPEN if open_ else EstimationStatus.SOLVED
     with np.errstate(divide="ignore", invalid="ignore"):  # exact data tell a combination without end, or nothing

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +19,7 @@ from mpc.optimal_control.estimation.most_likely import most_likely
 from mpc.optimal_control.estimation.parameter_estimate import EstimationStatus, ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.tolerances import NEGLIGIBLE, SUPPOSED_NOISE
 
@@ -79,7 +79,7 @@ def estimate_parameters(
     Bonner Mathematische Schriften 183, 1987; Biegler, *Nonlinear Programming*, SIAM 2010, chapter 10; Kristensen et
     al., "TMB: automatic differentiation and Laplace approximation", Journal of Statistical Software 70, 2016.
     """
-    end = time.perf_counter() + as_seconds("time_limit", options.get("time_limit"))
+    clock = Clock(as_seconds("time_limit", options.get("time_limit")))
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
@@ -112,7 +112,7 @@ def estimate_parameters(
             phases, p_bounds=bounds, p_guess=guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
         )
         _check_count(problem, given, 0 if unit is None else 1)
-        solution, known = most_likely(problem, residual, size, options, end)
+        solution, known = most_likely(problem, residual, size, options, clock)
         return estimate_of(solution, given, h, known, unit)
 
     if noise is not None:
@@ -120,7 +120,7 @@ def estimate_parameters(
     unit = SUPPOSED_NOISE * _spread(given)
     found = fitted(unit**2 * np.eye(ny), unit)
     left = found.residual_variance
-    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2 or time.perf_counter() >= end:
+    if found.status is not EstimationStatus.OPEN or not 0 < left < unit**2 or clock.late:
         return found
     again = fitted(left * np.eye(ny), float(np.sqrt(left)))
     return again if again.solved else found

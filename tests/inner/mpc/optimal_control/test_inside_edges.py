@@ -8,6 +8,7 @@ from scipy.sparse import csr_matrix
 
 from mpc.optimal_control import Radau, refinement
 from mpc.optimal_control.paths import Path
+from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.quadratic_planner import QuadraticPlanner
 from mpc.optimal_control.refinement import _finer_mesh, _Rounds
 from mpc.optimal_control.solution_sensitivity import _acting, _once_each
@@ -63,7 +64,7 @@ def test_a_limit_that_a_finer_mesh_leaves_as_passed_is_jumped_over(excess, meshe
     )  # fmt: skip
     made = []
     monkeypatch.setattr(refinement, "build", lambda *a, **k: SimpleNamespace(lower=[]))
-    rounds = _Rounds({}, 1e-4, "dynamics", 10, np.inf, None)
+    rounds = _Rounds({}, 1e-4, "dynamics", 10, Clock(np.inf), None)
     monkeypatch.setattr(rounds, "_meshes", lambda solution: [])
     monkeypatch.setattr(rounds, "solved", lambda program, start: made.append(start) or passed)
     _, reason = rounds.refined(passed)

@@ -4,7 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mpc.optimal_control.estimation import EstimationStatus, Experiment, curvature, estimate_parameters, most_likely
+from mpc.optimal_control.estimation import (
+    EstimationStatus,
+    Experiment,
+    curvature,
+    estimate_parameters,
+    most_likely,
+    parameter_estimation,
+)
 
 TIMES = np.linspace(0, 4, 21)
 
@@ -25,7 +32,8 @@ def test_a_maximum_that_is_not_left_is_not_solved(monkeypatch):
 @pytest.mark.parametrize("disturbance", [None, [1e-4]])
 def test_when_the_time_is_up_what_was_reached_is_returned_without_another_solve(monkeypatch, disturbance):
     solves = []
-    monkeypatch.setattr(most_likely._Solves, "late", True)
+    over = type("Over", (parameter_estimation.Clock,), {"late": True})
+    monkeypatch.setattr(parameter_estimation, "Clock", over)
     refine = most_likely.refine
     monkeypatch.setattr(most_likely, "refine", lambda *given, **options: solves.append(1) or refine(*given, **options))
     y = 3 + 0.1 * np.random.default_rng(0).normal(size=21)

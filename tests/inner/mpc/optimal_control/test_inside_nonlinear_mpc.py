@@ -50,7 +50,7 @@ def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     x = np.array([0.0, 0.3, 0.0, 0.0])
     controller(x)
     before = controller.last_plans[0]
-    monkeypatch.setattr("mpc.optimal_control.paths.next_step", lambda *a, **k: SimpleNamespace(solved=False))
+    monkeypatch.setattr("mpc.optimal_control.paths.next_step", lambda *a, **k: None)
     u = controller(before.states[1])
     plan = controller.last_plans[0]
     assert u == pytest.approx(before.inputs[1], abs=1e-6)
