@@ -17,7 +17,7 @@ from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED
 
 
 class Missed(NamedTuple):
-    """Errors of the dynamics, relative, and of the cost, and what of that inputs at a bound would save, (N,) each."""
+    """Errors of the dynamics, relative, and of the cost, and what inputs at a bound would save of it, (N,) each."""
 
     dynamics: Array
     cost: Array
@@ -92,12 +92,12 @@ def _by_residual(
     low, high = (np.stack(part.unknowns(side)[3]) for side in (program.lower, program.upper))  # (points, nu, N)
     bounds = np.stack([low.max(axis=0), high.min(axis=0)])[:, :, k]
     saved = _saved(phase, x, u, times, along, bounds).reshape(N, -1) @ weights
-    of_cost = np.maximum(np.abs(of_cost) + of_limits, saved)
+    of_cost = np.abs(of_cost) + of_limits
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost, h * saved)
 
 
 def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array, bounds: Array) -> Array:
-    """How much smaller the Hamiltonian (n,) is with an input nearly at its bound (2, nu, n), if that passes no limit."""
+    """How much smaller the Hamiltonian (n,) is with an input nearly at its bound (2, nu, n), no limit passed by it."""
     functions = phase.part.functions
 
     def hamiltonian(inputs: Array) -> Array:

@@ -168,8 +168,19 @@ class _Rounds:
         return max(error, solution.mesh_error / self.dynamics, solution.excess / LIMIT_PASSED)
 
     def _jumps(self, solution: Solution) -> list[Flags]:
-        """Intervals of each phase in which inputs at a bound would save more than is tolerated."""
-        return [one.saved > self.tolerance * _size_of_cost(solution) for one in solution.missed]
+        """Intervals of each phase in which alone inputs at a bound would save more than is tolerated.
+
+        Amid others they belong to another optimum, which no finer mesh leads to.
+        """
+        least = min(self.tolerance * _size_of_cost(solution), self._share(solution))
+        each = [one.saved > least for one in solution.missed]
+        return [saves & (np.convolve(saves, [1, 0, 1])[1:-1] < 2) for saves in each]
+
+    def _share(self, solution: Solution) -> float:
+        """Error of the cost that an interval may have, alike for each."""
+        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
+        fine = not self.of_cost and solution.cost_error <= allowed
+        return np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)
 
     def off(self, solution: Solution) -> float:
         """Part of the cost by which it may be off [-]."""
@@ -215,10 +226,7 @@ class _Rounds:
 
     def _meshes(self, solution: Solution) -> list[Array] | None:
         """Finer meshes; None where none are needed."""
-        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
-        fine = not self.of_cost and solution.cost_error <= allowed
-        share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)  # alike for each interval
-        meshes = []
+        meshes, share = [], self._share(solution)
         each = zip(solution.phases, solution.missed, solution.path_excess, self._jumps(solution))
         for phase, missed, passed, jumps in each:
             errors = np.maximum(missed.cost / share, missed.dynamics / self.dynamics)  # in tolerances

@@ -197,8 +197,8 @@ class Solution:
 
     @property
     def cost_error(self) -> float:
-        """Estimated error of the cost by the mesh."""
-        return float(sum(one.cost.sum() for one in self.missed))
+        """Estimated error of the cost by the mesh, or what inputs at a bound would save there."""
+        return float(sum(np.maximum(one.cost, one.saved).sum() for one in self.missed))
 
     def looked_between(self) -> Solution:
         """Solution with its status revised between the points."""
@@ -228,6 +228,9 @@ class Solution:
             said.append(f"The dynamics are missed by {self.mesh_error:.1e} of the extent of a state.")
         if not self.cost_error <= self.cost_tolerance:
             said.append(f"The cost may be off by about {self.cost_error:.2g}.")
+            saved = sum(one.saved.sum() for one in self.missed)
+            if saved > self.cost_tolerance:
+                said.append(f"By the Hamiltonian inputs at bounds would save {saved:.2g}: try another guess, too.")
         return said
 
     @property

@@ -1,5 +1,7 @@
 """What happens between the points of a mesh is part of the status: limits, dynamics and cost."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -328,3 +330,27 @@ def test_the_cost_is_off_by_no_more_than_thrice_what_is_told_where_inputs_jump(s
         found = solve(build(phase, scheme, intervals))
         assert found.solved_on_mesh
         assert found.cost - 2 * (2 - np.sqrt(3)) <= 3 * found.cost_error, intervals
+
+
+def test_what_inputs_at_bounds_would_save_is_no_optimum():
+    # at rest the cost cannot be made less by small inputs, by the largest it is -12
+    phase = Phase(
+        lambda u: u, 1, 1, start=[0], duration=1.0, u_bounds=(-2, 2), stage_cost=lambda x, u: u**2 - u**4 + x**2
+    )
+    found = refine(phase)
+    assert not found.solved
+    assert found.cost_error == pytest.approx(12, rel=1e-3)
+    assert "By the Hamiltonian inputs at bounds would save 12: try another guess" in found.advice
+    assert len(found.times) < 100
+    assert refine(replace(phase, guess=([0, 1], np.zeros((2, 1)), np.full((2, 1), 1.9)))).cost < -10
+
+
+def test_a_bound_that_inputs_leave_between_the_points_is_found():
+    # what is left of the first flows into the second as long as it may
+    flow = Phase(
+        lambda x, u: ca.vertcat(-u * x[0], u * x[0] - (1 - u) * x[1]), 2, 1, start=[1, 0], duration=4.0,
+        u_bounds=(0, 1), terminal_cost=lambda x: -x[1],
+    )  # fmt: skip
+    found = refine(flow)
+    assert found.solved, found.advice
+    assert found.cost == pytest.approx(np.exp(-4) - 1, rel=1e-6)

@@ -60,12 +60,13 @@ def test_intervals_are_as_short_as_they_may_be(length, shorter):
 def test_a_limit_that_a_finer_mesh_leaves_as_passed_is_jumped_over(excess, meshes, monkeypatch):
     passed = SimpleNamespace(
         excess=excess, mesh_error=0.0, solved_on_mesh=True, program=SimpleNamespace(problem=None),
-        phases=[SimpleNamespace(part=SimpleNamespace(scheme=None))], missed=[],
+        phases=[SimpleNamespace(part=SimpleNamespace(scheme=None))],
     )  # fmt: skip
     made = []
     monkeypatch.setattr(refinement, "build", lambda *a, **k: SimpleNamespace(lower=[]))
     rounds = _Rounds({}, 1e-4, "dynamics", 10, Clock(np.inf), None)
     monkeypatch.setattr(rounds, "_meshes", lambda solution: [])
+    monkeypatch.setattr(rounds, "_jumps", lambda solution: [])
     monkeypatch.setattr(rounds, "solved", lambda program, start: made.append(start) or passed)
     _, reason = rounds.refined(passed)
     assert "missed as much as the one before" in reason
