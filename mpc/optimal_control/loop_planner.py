@@ -24,7 +24,7 @@ from mpc.optimal_control.phase_stages import PhaseStages
 from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
-from mpc.optimal_control.solving import Run, as_settings, status_of
+from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
@@ -154,7 +154,8 @@ class LoopPlanner:
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
                 break
         # from elsewhere limits may be kept, which was looked at as they began to be passed, if there was time
-        known = before.status in (Status.SOFTENED, Status.LATE)
+        late, then = before.status is Status.LATE, partial(self._local, before.states[0], given)
+        known = before.status is Status.SOFTENED or (late and then(before.states, before.inputs).passed[1] > FEASIBLE)
         return found if found.status is Status.SOLVED or known else None
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
@@ -207,7 +208,8 @@ class LoopPlanner:
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
         if plan.status not in RANKS[:2]:
-            return replace(plan, status=Status.LATE) if clock.up else plan
+            late = clock.stopped or any(one.found.said == LATE for one in tried)
+            return replace(plan, status=Status.LATE) if late else plan
         plan = self._with_multipliers(plan, x, given)
         # limits that are small beside the way are kept to their own sizes by programs
         sure = plan.status is Status.SOLVED or clock.late

@@ -27,6 +27,7 @@ class Clock:
     began: float = field(default_factory=time.perf_counter)
     asked: float = field(default_factory=time.perf_counter)
     longest: float = 0.0
+    stopped: bool = False  # whether it ever said that the time was up
 
     @property
     def taken(self) -> float:
@@ -48,7 +49,9 @@ class Clock:
         """Whether one more program would probably end too late."""
         before, self.asked = self.asked, time.perf_counter()
         self.longest = max(self.longest, self.asked - before)
-        return self.asked + self.longest - self.began > self.limit
+        up = self.asked + self.longest - self.began > self.limit
+        self.stopped = self.stopped or up
+        return up
 
     def stamped(self, plan: Plan) -> Plan:
         """Plan with its time, LATE where that was up."""

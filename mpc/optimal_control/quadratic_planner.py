@@ -124,11 +124,9 @@ class QuadraticPlanner:
             dear = VIOLATION_PRICE * size
             sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
             found = clock.stamped(self._found(sample))
-            wild = found.status not in OPTIMA
-            if found.status is Status.FOLLOWED:
-                total = self._total(found, given, dear)
-                wild = not total <= cost and total > 2 * self._total(self._followed(x, first, given), given, dear)
-            if wild:
+            # one that is no dearer than the plan before will do (Scokaert, Mayne and Rawlings, 1999)
+            does = found.status is Status.FOLLOWED and self._total(found, given, dear) <= cost
+            if not (does or found.status in OPTIMA):
                 best = self._best(sample, found)
                 found = replace(best, status=Status.LATE) if found.status is Status.LATE else best
         if self._limits is not None:
@@ -152,10 +150,11 @@ class QuadraticPlanner:
             done = list(islice(programs, self.iterations))
             if not done:
                 return self._plan(sample, first, Status.REPLACED)
-            cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
+            cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
-            if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
+            # beyond hard limits, or where the model escapes, there may be nothing to follow
+            if found.status is not Status.SOFTENED and np.isfinite(found.cost):
                 return found
         at = replace(first, name=CONVERGING, last=None)
         if not sample.far:
@@ -179,7 +178,7 @@ class QuadraticPlanner:
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
         found = self._plan(sample, first, Status.REPLACED) if best is None else best
-        return found if found.status in OPTIMA or not sample.clock.up else replace(found, status=Status.LATE)
+        return replace(found, status=Status.LATE) if sample.clock.stopped and found.status not in OPTIMA else found
 
     def _plan(self, sample: _Sample, at: Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
@@ -230,7 +229,7 @@ class QuadraticPlanner:
             states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
             at = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
             yield at
-            if path.name == SHIFTED and at.solved:
+            if path.name == SHIFTED and at.last and at.solved and not at.last.relaxed:
                 return
 
     def _starting_paths(self, sample: _Sample, known: bool) -> Iterator[Path]:
@@ -325,7 +324,7 @@ class QuadraticPlanner:
         plans = [found, self._plan(sample, first, Status.REPLACED)]
         if found.solver != REAL_TIME:  # far from rest the gains at rest may do harm
             plans.append(self._plan(sample, replace(first, gains=None), Status.REPLACED))
-        if first.name != LINEAR_LAW and not np.isfinite(plans[1].cost):
+        if first.name != LINEAR_LAW:
             plans.append(self._plan(sample, self._linear_law(sample.x, given), Status.REPLACED))
         price = VIOLATION_PRICE * max((plan.cost for plan in plans[1:] if np.isfinite(plan.cost)), default=1.0)
         total = [self._total(plan, given, price) for plan in plans]

@@ -191,9 +191,11 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
 
 def carried(plan: Plan, rows: Rows) -> Multipliers | None:
     """Multipliers that a plan carries for these rows."""
-    if plan.costates is None or plan.pushes is None or len(plan.pushes) != len(rows.steps):
+    if plan.costates is None or plan.pushes is None:
         return None
-    fits = plan.hessian is not None and plan.hessian.shape[1] == rows.sides.shape[1]
+    if (len(plan.costates), len(plan.pushes)) != (len(plan.inputs), len(rows.steps)):
+        return None
+    fits = plan.hessian is not None and plan.hessian.shape[:2] == (len(plan.states), rows.sides.shape[1])
     return Multipliers(plan.costates, plan.pushes, plan.hessian if fits else None)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from ccdtools_ground.door import as_share
+from ccdtools_ground.door import as_share, brief
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
@@ -237,7 +237,7 @@ class MovingHorizonEstimator:
         for one in (window, left_out, still):
             before = one.course[-1]
             mean, P = self.model.predicted(before, u, before, one.last)
-            P = P if np.isfinite(P).all() else one.last
+            mean, P = np.clip(mean, *self.model.bounds), P if np.isfinite(P).all() else one.last
             if one is still or not np.isfinite(mean).all():
                 continue
             if self.model.told(before, u, y) <= self.model.told(mean, u, y):
@@ -248,15 +248,16 @@ class MovingHorizonEstimator:
 
     def update(self, belief: MovingHorizonBelief, y: ArrayLike, u: ArrayLike) -> MovingHorizonBelief:
         """Belief after outputs (n, ny), or NaN, of inputs (n, nu)."""
-        outputs = as_floats("y", y)
+        inputs, outputs = self._inputs_of(belief, u, ahead=1), as_floats("y", y)
         if outputs.shape != (len(belief.windows), self.ny) or np.isinf(outputs).any():
             got = "infinite values" if np.isinf(outputs).any() else f"shape {outputs.shape}"
             raise InputError("y", got, f"({len(belief.windows)}, {self.ny}), finite, NaN where there is none")
-        inputs = self._inputs_of(belief, u, ahead=1)
         return self._belief([self._updated(*row) for row in zip(belief.windows, belief.status, outputs, inputs)])
 
     def _inputs_of(self, belief: MovingHorizonBelief, u: ArrayLike, *, ahead: int) -> Array:
         """Inputs (n, nu), for states that many samples ahead of outputs."""
+        if not isinstance(belief, MovingHorizonBelief):
+            raise InputError("belief", brief(repr(belief)), "one of `start`, `predict` or `update`")
         if any(len(window.course) != len(window.outputs) + ahead for window in belief.windows):
             after = "`start` or `predict`" if ahead else "`update`"
             cure = "Update with NaN where nothing was measured."

@@ -56,8 +56,9 @@ class NoisyModel:
         """Mean (nz,) and covariance one sample later, linearised at a point."""
         f, F, G = (np.asarray(part, dtype=float).ravel() for part in self.linearised(at, u))
         slope, reach = F.reshape(len(at), -1).T, G.reshape(-1, len(at)).T
-        after = slope @ P @ slope.T + reach @ reach.T
-        return f + slope @ (mean - at), (after + after.T) / 2
+        with np.errstate(invalid="ignore", over="ignore"):  # of a model that escapes
+            after = slope @ P @ slope.T + reach @ reach.T
+            return f + slope @ (mean - at), (after + after.T) / 2
 
     def updated(self, at: Array, u: Array, y: Array, mean: Array, P: Array) -> tuple[Array, Array]:
         """Mean (nz,) and covariance after outputs (ny,) or NaN."""
@@ -74,9 +75,10 @@ class NoisyModel:
             gain = (np.linalg.solve(alike, told) / unit[:, None]).T
         except np.linalg.LinAlgError:  # outputs that tell the same of a state that is known badly
             gain = (np.linalg.lstsq(alike, told)[0] / unit[:, None]).T
-        rest = np.eye(len(at)) - gain @ slope
-        after = rest @ P @ rest.T + gain @ V @ gain.T
-        return mean + gain @ (y[known] - h[known] - slope @ (mean - at)), (after + after.T) / 2
+        with np.errstate(invalid="ignore", over="ignore"):
+            rest = np.eye(len(at)) - gain @ slope
+            after = rest @ P @ rest.T + gain @ V @ gain.T
+            return mean + gain @ (y[known] - h[known] - slope @ (mean - at)), (after + after.T) / 2
 
 
 @dataclass(frozen=True, eq=False)

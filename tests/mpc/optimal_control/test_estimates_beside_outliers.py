@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from mpc import InputError
 from mpc.optimal_control.estimation import MovingHorizonEstimator
 
 NO_INPUT = np.zeros((1, 0))
@@ -229,3 +230,31 @@ def test_beside_outputs_that_tell_the_same_one_without_a_slope_is_held(third):
     belief = estimator.update(estimator.start(1), [[3.0, 3.0, 1.0]], NO_INPUT)
     assert belief.status[0].name == "HELD"
     assert np.isfinite(belief.mean).all()
+
+
+@pytest.mark.parametrize("wrong", [150.0, -100.0, 20.0])
+def test_one_wrong_input_is_left_behind_where_bounds_keep_the_model_finite(wrong):
+    rng, W = np.random.default_rng(0), np.array([1e-4, 1e-4])
+    step = lambda x, u, w: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - 2 * x[0] - 0.3 * x[1])) + w  # noqa: E731
+    estimator = MovingHorizonEstimator(
+        step, lambda x: ca.asin(x[0]), 2, 1, window=5, W=W, V=[1e-3], P0=[0.1, 0.1], x0=[0.1, 0],
+        x_bounds=([-0.999, -9], [0.999, 9]),
+    )  # fmt: skip
+    x, belief = np.array([0.1, 0.0]), estimator.start(1)
+    for k in range(120):
+        u = np.array([0.4 * np.cos((k - 1) / 4)])
+        told = u + wrong * (k == 20)
+        if k:
+            x = np.asarray(ca.DM(step(x, u, 0.5 * np.sqrt(W) * rng.normal(size=2)))).ravel()
+            belief = estimator.predict(belief, [told])
+        belief = estimator.update(belief, [[np.arcsin(x[0]) + 0.02 * rng.normal()]], [told])
+        assert belief.status[0].name == "SOLVED"
+    assert (np.abs(belief.mean[0] - x) < 4 * np.sqrt(np.diag(belief.covariance[0]))).all()
+
+
+@pytest.mark.parametrize("call", ["predict", "update"])
+def test_a_belief_is_one_of_the_estimator(call):
+    estimator = MovingHorizonEstimator(FILLING, lambda x: x, 1, 0, window=2, W=[1e-4], V=[1e-4], P0=[1.0], x0=[0.7])
+    given = {"predict": (NO_INPUT,), "update": ([[0.7]], NO_INPUT)}[call]
+    with pytest.raises(InputError, match="belief: got None, expected one of `start`"):
+        getattr(estimator, call)(None, *given)

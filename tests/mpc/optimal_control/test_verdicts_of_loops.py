@@ -1,5 +1,7 @@
 """Plans of phases say what is so: limits of every size and price, saddles, inputs that cannot be kept, no numbers."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -256,3 +258,60 @@ def test_a_disc_that_another_way_keeps_off_is_not_softened():
         assert law.last_plans[0].status is Status.SOLVED
         x = np.asarray(ca.DM(step(ca.DM(x), ca.DM(u)))).ravel()
         assert np.hypot(*(x - centre)) >= radius - 1e-6
+
+
+def test_a_late_plan_that_keeps_limits_is_followed_as_one_in_time():
+    def step(x, u):
+        rate = lambda z: ca.vertcat(z[2] * ca.cos(z[3]), z[2] * ca.sin(z[3]), u)  # noqa: E731
+        k1 = rate(x)
+        k2 = rate(x + 0.05 * k1)
+        k3 = rate(x + 0.05 * k2)
+        return x + 0.1 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.1 * k3))
+
+    discs = np.array([[3, 0.05, 1], [5, -1.6, 0.8], [5, 1.5, 0.8]])
+    law = NonlinearMPC(Phase(
+        step, 4, 2, discrete=True, duration=20, u_bounds=([-6, -2.5], [6, 2.5]),
+        x_bounds=([-99, -99, 0.5, -99], [99, 99, 6, 99]),
+        stage_cost=lambda x, u: 0.1 * ((x[0] - 9) ** 2 + x[1] ** 2) + 0.02 * u[0] ** 2 + 0.05 * u[1] ** 2,
+        path=lambda x: ca.vertcat(*(area - (x[0] - a) ** 2 - (x[1] - b) ** 2 for a, b, area in discs)),
+    ))  # fmt: skip
+    before = law.solve([-0.014, -0.25, 4.441, 0.081])
+    for status in (Status.SOLVED, Status.LATE):
+        assert law.solve([0.794, -0.521, 6.046, 0.327], start=replace(before, status=status)).status is Status.SOLVED
+
+
+def test_a_plan_is_late_where_its_time_was_up():
+    law = lambda limit: NonlinearMPC(Phase(  # noqa: E731
+        lambda x, u: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sqrt(x[0] + 1))), 2, 1, discrete=True,
+        duration=30, u_bounds=(-1, 1), x_bounds=([-1, -5], [60, 5]), end=([50, 0], [50, 0]),
+        stage_cost=lambda x, u: (x[0] - 3) ** 2 + u**2,
+    ), starts=1, most_iterations=60, time_limit=limit)  # fmt: skip
+    anew = law(None)
+    free = min((anew.solve([0.5, 0]) for _ in range(2)), key=lambda plan: plan.solve_time)
+    assert free.status is Status.REPLACED
+    limit = 1.6 * free.solve_time
+    found = law(limit).solve([0.5, 0])
+    assert found.status is Status.REPLACED or found.solve_time > 0.8 * limit
+
+
+@pytest.mark.parametrize("iterations", [1, None])
+@pytest.mark.parametrize(("x", "spike"), [([2, 0], [-9.8, 0]), ([-1.18, 38.34], [0.29, -475.99])])
+def test_a_levitation_comes_back_after_a_spike_of_its_sensor(x, spike, iterations):
+    def step(x, u):
+        rate = lambda z: ca.vertcat(z[1], 9810 - 9810 * ((1 + u) / (1 + z[0] / 10)) ** 2)  # noqa: E731
+        for _ in range(2):
+            k1 = rate(x)
+            k2 = rate(x + 0.00125 * k1)
+            k3 = rate(x + 0.00125 * k2)
+            x = x + 0.0025 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.0025 * k3))
+        return x
+
+    law = NonlinearMPC(
+        step, 2, 1, iterations=iterations, Q=[1, 1e-4], R=20, X=([-8, -900], [6, 900]), U=([-0.9], [1.5]), horizon=15
+    )
+    for k in range(30):
+        u = law(np.array(spike if k == 5 else x))
+        if k > 5:
+            assert law.last_plans[0].violation < 0.1
+        x = np.asarray(ca.DM(step(ca.DM(x), ca.DM(u)))).ravel()
+    assert abs(x[0]) < 0.1

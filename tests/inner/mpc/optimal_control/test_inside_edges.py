@@ -78,9 +78,9 @@ def test_a_violation_costs_a_hundred_times_what_the_other_plan_does(violation, c
     found = SimpleNamespace(solver="found", cost=1.0, over=violation)
     planner = SimpleNamespace(
         _plan=lambda sample, path, status: SimpleNamespace(solver="other", cost=2.0, over=0.0),
-        _total=lambda plan, given, price: plan.cost + price * plan.over,
-    )
-    sample = SimpleNamespace(first=Path(np.zeros((2, 1)), np.zeros((1, 1))), given={})
+        _total=lambda plan, given, price: plan.cost + price * plan.over, _linear_law=lambda x, given: None,
+    )  # fmt: skip
+    sample = SimpleNamespace(x=None, first=Path(np.zeros((2, 1)), np.zeros((1, 1))), given={})
     assert QuadraticPlanner._best(planner, sample, found).solver == chosen
 
 
