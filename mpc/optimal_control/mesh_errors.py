@@ -17,11 +17,11 @@ from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED
 
 
 class Missed(NamedTuple):
-    """Errors of the dynamics, relative, and of the cost, and what inputs at a bound would save of it, (N,) each."""
+    """Errors (N,) of the intervals of a phase."""
 
-    dynamics: Array
+    dynamics: Array  # relative
     cost: Array
-    saved: Array
+    saved: Array  # of the cost by inputs at a bound
 
 
 def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
@@ -97,7 +97,10 @@ def _by_residual(
 
 
 def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array, bounds: Array) -> Array:
-    """How much smaller the Hamiltonian (n,) is with an input nearly at its bound (2, nu, n), no limit passed by it."""
+    """What inputs nearly at their bounds (2, nu, n) save of the Hamiltonian (n,).
+
+    One at a time, where it passes no limit by that.
+    """
     functions = phase.part.functions
 
     def hamiltonian(inputs: Array) -> Array:

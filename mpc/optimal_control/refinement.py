@@ -168,9 +168,10 @@ class _Rounds:
         return max(error, solution.mesh_error / self.dynamics, solution.excess / LIMIT_PASSED)
 
     def _jumps(self, solution: Solution) -> list[Flags]:
-        """Intervals of each phase in which alone inputs at a bound would save more than is tolerated.
+        """Intervals of each phase that miss a jump.
 
-        Amid others they belong to another optimum, which no finer mesh leads to.
+        There inputs at a bound would save more than is tolerated. Amid others that would be another optimum, which no
+        finer mesh leads to.
         """
         least = min(self.tolerance * _size_of_cost(solution), self._share(solution))
         each = [one.saved > least for one in solution.missed]
@@ -279,7 +280,7 @@ def _ended(solution: Solution, reason: str, run: _Rounds) -> Solution:
 
 
 def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, jumps: Flags, tolerance: float) -> Array:
-    """Mesh cut where errors and violations (N,), which count from 1 on, or `jumps` that are missed ask for it."""
+    """Mesh cut where errors and violations (N,) are above 1, or a jump is missed."""
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
     asked = np.clip((np.maximum(errors, 1.0) / MESH_SAFETY) ** (1 / order), 2, MOST_PARTS)

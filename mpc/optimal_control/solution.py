@@ -197,7 +197,7 @@ class Solution:
 
     @property
     def cost_error(self) -> float:
-        """Estimated error of the cost by the mesh, or what inputs at a bound would save there."""
+        """Estimated error of the cost by the mesh."""
         return float(sum(np.maximum(one.cost, one.saved).sum() for one in self.missed))
 
     def looked_between(self) -> Solution:
