@@ -125,7 +125,7 @@ def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestItera
 
 
 class BestIterate(ca.Callback):
-    """Callback that keeps the cheapest feasible iterate, else the least infeasible, and stops when the time is up."""
+    """Callback that keeps the cheapest feasible iterate, else the least infeasible, in time."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)

@@ -218,7 +218,7 @@ class LoopPlanner:
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
              clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip
-        """States and inputs that the solver comes to, or None where gaps are left that programs would not close.
+        """States and inputs that the solver comes to, None where gaps are left.
 
         They begin at others, unless these are no numbers.
         """

@@ -178,7 +178,7 @@ class _Rounds:
         return [saves & (np.convolve(saves, [1, 0, 1])[1:-1] < 2) for saves in each]
 
     def _share(self, solution: Solution) -> float:
-        """Error of the cost that an interval may have, alike for each."""
+        """Error of the cost that each interval may have."""
         allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
         fine = not self.of_cost and solution.cost_error <= allowed
         return np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)
@@ -298,7 +298,7 @@ def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, jumps: Flags
 
 
 def _crossings(phase: PhaseSolution) -> tuple[Flags, Flags]:
-    """Intervals (N,) in which an input crosses much of its range, and those of them with neighbours that do.
+    """Intervals (N,) in which an input crosses much of its range, and neighbours that do.
 
     There inputs swing back and forth, as along a singular arc, and there is no jump to find.
     """

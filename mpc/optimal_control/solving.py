@@ -192,7 +192,7 @@ class Run:
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
-        """Solve, again where sizes were off, or bounds that are never met told them and that changes the cost."""
+        """Solve, again where sizes were off, or told by bounds that are never met."""
         found = self._sized(guess, multipliers, warm)
         if warm or status_of(found) is not OptimalControlStatus.SOLVED:  # it begins with the sizes of a solution
             return found

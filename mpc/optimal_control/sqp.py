@@ -360,7 +360,7 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
 
 
 def _roots(blocks: Array) -> Array:
-    """Roots T with T'HT = 1 of blocks of H (b, n/b, n/b), an error where one is not positive definite."""
+    """Roots T with T'HT = 1 of positive definite blocks of H (b, n/b, n/b)."""
     diagonal = np.diagonal(blocks, axis1=1, axis2=2)
     if not (diagonal > 0).all():
         raise np.linalg.LinAlgError
