@@ -42,6 +42,13 @@ class _Tried:
     cost: float
     violation: float  # of a hard limit, in its unit
     passed: float  # the same in sizes of its row, or the largest gap in sizes of states
+    step: Callable[[], Step | None]  # of a program about it
+
+    @cached_property
+    def sure(self) -> bool:
+        """Whether it is an optimum, and at no saddle."""
+        step = self.step() if self.status is Status.SOLVED else None
+        return self.status is Status.SOLVED and not (step and step.saddle)
 
     @property
     def status(self) -> Status:
@@ -194,10 +201,10 @@ class LoopPlanner:
         if before is not None:
             v = self._unknowns(program, before.states, self._aside(before.inputs), given)
             tried.append(solved(v, PRICE**2))
-        if not tried or not (tried[0].status is Status.SOLVED or clock.up):
+        if not tried or not (tried[0].sure or clock.up):
             guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given))
             own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
-            tried += until_most_agree(own, self.starts)
+            tried += until_most_agree(own, self.starts, lambda one: one.sure)
             least = min(tried, key=lambda one: one.rank)
             if least.status in RANKS[2:] and not clock.late:
                 tried.append(solved(least.found.v, PRICE**2))
@@ -256,7 +263,8 @@ class LoopPlanner:
         found = run.solved(np.clip(v, lower, upper), None, warm=False)
         at = local(*self._trajectory(found.v))
         over, relative = at.passed
-        return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)))
+        step = partial(next_step, at, PRICE * at.force, times=PRICE)
+        return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)), step)
 
     def _trajectory(self, v: Array) -> tuple[Array, Array]:
         """States (N + 1, nx) and inputs (N, nu) of unknowns."""

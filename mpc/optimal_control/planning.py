@@ -85,12 +85,17 @@ def aside(inputs: Array, sizes: Array) -> Array:
     return inputs + np.random.default_rng(0).uniform(-ASIDE, ASIDE, inputs.shape) * sizes
 
 
-def until_most_agree(tried: Iterable[Any], starts: int) -> Iterator[Any]:
-    """Results of starts, until more than half are one optimum."""
+def solved(one: Any) -> bool:
+    """Whether a result is an optimum."""
+    return bool(one.status is Status.SOLVED)
+
+
+def until_most_agree(tried: Iterable[Any], starts: int, sure: Callable[[Any], bool] = solved) -> Iterator[Any]:
+    """Results of starts, until more than half are one optimum that is sure."""
     costs: list[float] = []
     for one in tried:
         yield one
-        costs.append(one.cost if one.status is Status.SOLVED else np.nan)
+        costs.append(one.cost if sure(one) else np.nan)
         if 2 * np.count_nonzero(np.isclose(costs, costs[-1], rtol=COST_ROUNDING, atol=0.0)) > starts:
             return
 

@@ -56,9 +56,18 @@ class Step:
     @property
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
-        sizes = np.concatenate(self.local.sizes)
+        sizes = self._reach
         most = largest(sizes[:, None] * self.hessian * sizes) or 1.0
         return not self._curved(NEGLIGIBLE * most / sizes**2)  # what costs nothing is none
+
+    @property
+    def _reach(self) -> Array:
+        """Sizes (nx + nu,) of what inputs do that move by their limits; a plan may hardly move."""
+        local, along = self.local, self.program.along
+        own = np.where(np.isfinite(local.extent), local.extent, local.sizes[1])
+        drift = np.zeros_like(along[3]), np.zeros_like(along[4])
+        led_to, _ = moved(*along[:3], *drift, np.tile(own, (1, len(local.inputs), 1)))
+        return np.concatenate([np.maximum(local.sizes[0], np.abs(led_to[0]).max(axis=0)), own])
 
     @property
     def strict(self) -> bool:

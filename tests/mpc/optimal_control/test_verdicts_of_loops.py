@@ -315,3 +315,38 @@ def test_a_levitation_comes_back_after_a_spike_of_its_sensor(x, spike, iteration
             assert law.last_plans[0].violation < 0.1
         x = np.asarray(ca.DM(step(ca.DM(x), ca.DM(u)))).ravel()
     assert abs(x[0]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("pull", "drag", "push", "load", "effort", "most", "horizon", "unit", "best"),
+    [
+        (0.759, 0.02, 0.525, 2.477, 0.669, 2.017, 24, 8.279, 47.72),
+        (1.754, 0.406, 0.892, 0.416, 0.782, 2.034, 28, 0.01, 9.394),
+        (1.52, 0.14, 0.624, 2.915, 0.134, 2.111, 19, 2.03, 40.10),
+        (0.944, 0.212, 1.009, 2.732, 0.021, 0.781, 27, 7.848, 41.60),
+    ],
+)  # fmt: skip
+def test_a_plan_that_rests_between_two_wells_is_left(pull, drag, push, load, effort, most, horizon, unit, best):
+    """By its actuator's lag it hardly moves there, so that its own moves tell no size."""
+
+    def step(x, u):
+        rate = lambda z: ca.vertcat(  # noqa: E731
+            z[1], pull * z[0] - z[0] ** 3 / unit**2 - drag * z[1] + z[2], 3 * (push * unit * u - z[2])
+        )
+        k1 = rate(x)
+        k2 = rate(x + 0.05 * k1)
+        k3 = rate(x + 0.05 * k2)
+        return x + 0.1 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.1 * k3))
+
+    law = NonlinearMPC(Phase(
+        step, 3, 1, discrete=True, duration=horizon, u_bounds=(-most, most),
+        stage_cost=lambda x, u: load * ((x[0] / unit) ** 2 - 1) ** 2 + effort * u**2,
+    ))  # fmt: skip
+    anew = law.solve([0, 0, 0])
+    still = replace(
+        anew, states=np.zeros((horizon + 1, 3)), inputs=np.zeros((horizon, 1)), costates=np.zeros((horizon, 3)),
+        pushes=0 * anew.pushes, hessian=None,
+    )  # fmt: skip
+    for plan in (anew, law.solve([0, 0, 0], start=still)):
+        assert plan.status is Status.SOLVED
+        assert plan.cost == pytest.approx(best, rel=1e-3)
