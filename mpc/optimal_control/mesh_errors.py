@@ -13,6 +13,7 @@ from mpc.checks import Array
 from mpc.optimal_control.phase_solution import PhaseSolution, rows_of_signal, rows_within, stepped
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
+from mpc.plan import Residuals
 from mpc.tolerances import LEAST_MOVE, LIMIT_PASSED, NEGLIGIBLE, PRIMAL, ROUNDED_SUM
 
 
@@ -24,7 +25,9 @@ class Missed(NamedTuple):
     saved: Array  # of the cost by inputs at a bound
 
 
-def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
+def mesh_errors(
+    program: NonlinearProgram, phase: PhaseSolution, multipliers: dict[str, Array], residuals: Residuals
+) -> Missed:
     """Errors of a phase's dynamics and cost over each interval.
 
     Those of the dynamics are beside the largest value of a state, or a hundred times its extent where that is less;
@@ -53,7 +56,7 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
     size = np.where(largest > ROUNDED_SUM * scale, size, np.maximum(size, PRIMAL * scale))
     with np.errstate(over="ignore", invalid="ignore"):  # of what is no number between the points
         if isinstance(scheme, Collocation):
-            found = _by_residual(program, phase, scheme, multipliers)
+            found = _by_residual(program, phase, scheme, multipliers, residuals)
         else:
             found = _by_finer_steps(phase, scheme, multipliers)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
@@ -62,8 +65,9 @@ def mesh_errors(program: NonlinearProgram, phase: PhaseSolution, multipliers: di
 
 
 def _by_residual(
-    program: NonlinearProgram, phase: PhaseSolution, scheme: Collocation, multipliers: dict[str, Array]
-) -> Missed:
+    program: NonlinearProgram, phase: PhaseSolution, scheme: Collocation, multipliers: dict[str, Array],
+    residuals: Residuals,
+) -> Missed:  # fmt: skip
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
@@ -91,9 +95,13 @@ def _by_residual(
     along = np.einsum("tj,kji->kti", basis, costates).reshape(x.shape)
     low, high = (np.stack(part.unknowns(side)[3]) for side in (program.lower, program.upper))  # (points, nu, N)
     bounds = np.stack([low.max(axis=0), high.min(axis=0)])[:, :, k]
-    saved = _saved(phase, x, u, times, along, bounds).reshape(N, -1) @ weights
+    saved = h * (_saved(phase, x, u, times, along, bounds).reshape(N, -1) @ weights)
+    reach = np.where(np.isfinite(high - low), high - low, 0.0) / np.stack(part.unknowns(program.scale)[3])
+    left = program.cost_scale * (residuals.complementarity + residuals.stationarity * reach).sum(axis=(0, 1))
     of_cost = np.abs(of_cost) + of_limits
-    return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost, h * saved)
+    return Missed(
+        h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost, np.maximum(saved - left, 0.0)
+    )
 
 
 def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array, bounds: Array) -> Array:
@@ -111,14 +119,14 @@ def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Arr
 
     def over(inputs: Array) -> Array:
         known = functions.path is not None
-        return _over_path(phase, x, inputs, times).max(axis=0, initial=0.0) if known else np.zeros(len(x))
+        return np.maximum(_over_path(phase, x, inputs, times), 0.0) if known else np.zeros((0, len(x)))
 
     own, passed = hamiltonian(u), over(u)
     least = own
     for side, i in zip(*np.nonzero(np.isfinite(bounds).all(axis=2))):
         other = u.copy()
         other[:, i] += (1 - LIMIT_PASSED) * (bounds[side, i] - u[:, i])
-        least = np.fmin(least, np.where(over(other) <= passed, hamiltonian(other), np.inf))
+        least = np.fmin(least, np.where((over(other) <= passed).all(axis=0), hamiltonian(other), np.inf))
     return np.asarray(own - least)
 
 

@@ -153,9 +153,8 @@ class QuadraticPlanner:
             cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
-            # beyond hard limits, or where the model escapes, there may be nothing to follow
-            if found.status is not Status.SOFTENED and np.isfinite(found.cost):
-                return found
+            if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
+                return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
         at = replace(first, name=CONVERGING, last=None)
         if not sample.far:
             at = self._contracted(sample, at)

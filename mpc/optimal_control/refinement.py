@@ -175,7 +175,7 @@ class _Rounds:
         """
         least = min(self.tolerance * _size_of_cost(solution), self._share(solution))
         each = [one.saved > least for one in solution.missed]
-        return [saves & (np.convolve(saves, [1, 0, 1])[1:-1] < 2) for saves in each]
+        return [saves & (np.convolve(saves, [1, 0, 1])[1:-1] == 0) for saves in each]
 
     def _share(self, solution: Solution) -> float:
         """Error of the cost that each interval may have."""

@@ -183,7 +183,7 @@ class Solution:
     @cached_property
     def missed(self) -> tuple[Missed, ...]:
         """Errors between mesh points; see `mesh_errors`."""
-        return tuple(mesh_errors(self.program, phase, self.multipliers) for phase in self.phases)
+        return tuple(mesh_errors(self.program, phase, self.multipliers, self.residuals) for phase in self.phases)
 
     @property
     def errors(self) -> tuple[Array, ...]:

@@ -237,7 +237,8 @@ class MovingHorizonEstimator:
         for one in (window, left_out, still):
             before = one.course[-1]
             mean, P = self.model.predicted(before, u, before, one.last)
-            mean, P = np.clip(mean, *self.model.bounds), P if np.isfinite(P).all() else one.last
+            mean = np.where(np.isfinite(mean), np.clip(mean, *self.model.bounds), mean)
+            P = P if np.isfinite(P).all() else one.last
             if one is still or not np.isfinite(mean).all():
                 continue
             if self.model.told(before, u, y) <= self.model.told(mean, u, y):

@@ -354,3 +354,24 @@ def test_a_bound_that_inputs_leave_between_the_points_is_found():
     found = refine(flow)
     assert found.solved, found.advice
     assert found.cost == pytest.approx(np.exp(-4) - 1, rel=1e-6)
+
+
+def test_limits_at_a_price_hide_no_other_one():
+    # dearer than what u = 1 brings is more than that
+    phase = Phase(
+        lambda x, u: -x + u, 1, 1, start=[0], duration=3.0, u_bounds=(0, 2), path=lambda x, u: ca.vertcat(5 - x, u - 1),
+        path_prices=([1, 10], [0, 0]),
+    )  # fmt: skip
+    found = solve(build(phase, intervals=30))
+    assert found.solved, found.advice
+    assert found.cost == pytest.approx(13 - np.exp(-3), rel=1e-6)
+    assert found.cost_error < 1e-6
+
+
+def test_what_the_solver_leaves_at_bounds_saves_nothing():
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u - ca.sin(x[0])), 2, 1, start=[1, 0], end=[0, 0], duration=4.0, u_bounds=(-1, 1)
+    )
+    found = solve(build(phase, intervals=400))
+    assert found.solved, found.advice
+    assert found.cost_error < 1e-8

@@ -258,3 +258,14 @@ def test_a_belief_is_one_of_the_estimator(call):
     given = {"predict": (NO_INPUT,), "update": ([[0.7]], NO_INPUT)}[call]
     with pytest.raises(InputError, match="belief: got None, expected one of `start`"):
         getattr(estimator, call)(None, *given)
+
+
+@pytest.mark.parametrize("step", [lambda x, u, w: 0.9 * x + 0.05 / u + w, lambda x, u, w: 0.9 * x - ca.log(u) + w])
+def test_an_infinite_prediction_is_at_no_bound(step):
+    estimator = MovingHorizonEstimator(
+        step, lambda x: x, 1, 1, window=4, W=[1e-4], V=[1e-3], P0=[0.1], x0=[0.5], x_bounds=([0], [1])
+    )
+    belief = estimator.update(estimator.start(1), [[0.5]], [[1.0]])
+    ahead = estimator.predict(belief, [[0.0]])
+    assert ahead.status[0].name == "HELD"
+    assert ahead.mean[0, 0] == pytest.approx(0.5, abs=0.1)
