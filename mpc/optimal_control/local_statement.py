@@ -126,6 +126,7 @@ class Local:
     # slopes of which only rounding is left where states and inputs are at their references, and their cost
     lost: tuple[Array, Array] | None = None
     lost_cost: float = 0.0
+    cost_size: float = 0.0  # of costs that vanish
 
     @cached_property
     def defects(self) -> float:

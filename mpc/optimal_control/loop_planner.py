@@ -42,13 +42,17 @@ class _Tried:
     cost: float
     violation: float  # of a hard limit, in its unit
     passed: float  # the same in sizes of its row, or the largest gap in sizes of states
-    step: Callable[[], Step | None]  # of a program about it
+    local: Local  # at it
+
+    @cached_property
+    def step(self) -> Step | None:
+        """Step of a program about it."""
+        return next_step(self.local, PRICE * self.local.force, relaxed=self.status is Status.SOFTENED, times=PRICE)
 
     @cached_property
     def sure(self) -> bool:
         """Whether it is an optimum, and at no saddle."""
-        step = self.step() if self.status is Status.SOLVED else None
-        return self.status is Status.SOLVED and not (step and step.saddle)
+        return self.status is Status.SOLVED and not (self.step and self.step.saddle and self.step.sees_all)
 
     @property
     def status(self) -> Status:
@@ -181,16 +185,15 @@ class LoopPlanner:
         return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), status, residuals,
                     over, 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes, hessian)  # fmt: skip
 
-    def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
+    def _with_multipliers(self, plan: Plan, step: Step | None) -> Plan:
         """Optimum with the multipliers of a program about it, which confirms it."""
-        local = self._local(x, given, plan.states, plan.inputs)
-        step = next_step(local, PRICE * local.force, relaxed=plan.status is Status.SOFTENED, times=PRICE)
         if step is None:
             return plan
         still = min(step.error, step.size) <= KKT**0.5
         status = plan.status if still or plan.status is Status.SOFTENED else Status.INACCURATE
         on = step.multipliers
-        return replace(plan, status=status, costates=on.costates[:, : len(x)].copy(), pushes=on.pushes)
+        nx = self.loop.phase.states
+        return replace(plan, status=status, costates=on.costates[:, :nx].copy(), pushes=on.pushes)
 
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
@@ -217,7 +220,7 @@ class LoopPlanner:
         if plan.status not in RANKS[:2]:
             late = clock.stopped or any(one.found.said == LATE for one in tried)
             return replace(plan, status=Status.LATE) if late else plan
-        plan = self._with_multipliers(plan, x, given)
+        plan = self._with_multipliers(plan, best.step)
         # limits that are small beside the way are kept to their own sizes by programs
         sure = plan.status is Status.SOLVED or clock.late
         nearer = None if sure else self._followed(x, given, plan, clock)
@@ -263,8 +266,7 @@ class LoopPlanner:
         found = run.solved(np.clip(v, lower, upper), None, warm=False)
         at = local(*self._trajectory(found.v))
         over, relative = at.passed
-        step = partial(next_step, at, PRICE * at.force, times=PRICE)
-        return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)), step)
+        return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)), at)
 
     def _trajectory(self, v: Array) -> tuple[Array, Array]:
         """States (N + 1, nx) and inputs (N, nu) of unknowns."""
@@ -285,8 +287,8 @@ class LoopPlanner:
         """States and inputs of the starts: the phase's guess, else the state held; straight to its end; by chance."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
-        size = self._input_sizes
-        box = np.maximum(phase.u_bounds[0], -size), np.minimum(phase.u_bounds[1], size)
+        size, middle = self._input_sizes, np.clip(inputs[0], *phase.u_bounds)
+        box = np.maximum(phase.u_bounds[0], middle - size), np.minimum(phase.u_bounds[1], middle + size)
         first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs[:-1])
         return islice(beginnings(first, x, states[-1], lambda u: self._led_to(x, u, given), rng, box), self.starts)
 

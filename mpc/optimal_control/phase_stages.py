@@ -116,7 +116,7 @@ class PhaseStages:
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
         prices += np.stack([np.where(near > 0, -2 * near * (over / rows.amounts)[given], 0.0), near], axis=1)
         return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
-                     self.extent, lambda: total, prices)  # fmt: skip
+                     self.extent, lambda: total, prices, cost_size=self.loop.program.cost_scale)  # fmt: skip
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],
               sizes: Array) -> tuple[Rows, Array]:  # fmt: skip

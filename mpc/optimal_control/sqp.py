@@ -56,31 +56,32 @@ class Step:
     @property
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
-        sizes = self._reach
-        most = largest(sizes[:, None] * self.hessian * sizes) or 1.0
-        return not self._curved(NEGLIGIBLE * most / sizes**2)  # what costs nothing is none
+        local, nx = self.local, self.local.states.shape[1]
+        more = NEGLIGIBLE * np.abs(np.diagonal(self.hessian, axis1=1, axis2=2))
+        extent = np.where(np.isfinite(local.extent), local.extent, local.sizes[1])
+        more[:, nx:] += COST_ROUNDING * max(abs(local.cost()), local.cost_size) / extent**2  # what saves none is none
+        return not self._curved(more)
 
     @property
-    def _reach(self) -> Array:
-        """Sizes (nx + nu,) of what inputs do that move by their limits; a plan may hardly move."""
-        local, along = self.local, self.program.along
-        own = np.where(np.isfinite(local.extent), local.extent, local.sizes[1])
-        drift = np.zeros_like(along[3]), np.zeros_like(along[4])
-        led_to, _ = moved(*along[:3], *drift, np.tile(own, (1, len(local.inputs), 1)))
-        return np.concatenate([np.maximum(local.sizes[0], np.abs(led_to[0]).max(axis=0)), own])
+    def sees_all(self) -> bool:
+        """Whether no limit of changes of inputs pushes, along which no block of a Hessian lies."""
+        return not self.multipliers.pushes[self.local.rows.by_before.any(axis=1)].any()
 
     @property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
-        return self._curved(np.zeros(self.hessian.shape[1]))
+        return self._curved(np.zeros(self.hessian.shape[:2]))
 
     def _curved(self, more: Array) -> bool:
-        """Whether it, with more on its diagonal, rises along limits that push."""
+        """Whether it, with more (N + 1, nx + nu) on its diagonal, rises along limits that push."""
         own, on, local = self.program, self.multipliers, self.local
         if own.hessian is self.hessian:
             return True
-        held = _held(local, own.dear, on.pushes, self.relaxed)
-        return _condensed(local, held, self.hessian + np.diag(more)) is not None
+        held, rows = _held(local, own.dear, on.pushes, self.relaxed), local.rows
+        price = np.append(local.priced(self.relaxed, own.dear)[:, 1], np.inf)[rows.slots] / rows.amounts**2
+        passed = np.isfinite(price) & (on.pushes > 0) & (local.room < -FEASIBLE * rows.units)
+        whole = self.hessian + more[:, :, None] * np.eye(more.shape[1])
+        return _condensed(local, np.where(passed, price, held), whole) is not None
 
 
 @dataclass(frozen=True, eq=False)

@@ -351,3 +351,13 @@ def test_a_plan_that_rests_between_two_wells_is_left(pull, drag, push, load, eff
     for plan in (anew, law.solve([0, 0, 0], start=still)):
         assert plan.status is Status.SOLVED
         assert plan.cost == pytest.approx(best, rel=1e-3)
+
+
+def test_starts_by_chance_keep_bounds_that_are_far_from_zero():
+    law = NonlinearMPC(Phase(
+        lambda x, u: x + 0.1 * (u - 1e4 - ca.sin(3 * x)), 1, 1, discrete=True, duration=15, u_bounds=(9990, 10010),
+        stage_cost=lambda x, u: (x**2 - 1) ** 2 + 0.1 * (u - 1e4) ** 2,
+    ), starts=6)  # fmt: skip
+    plan = law.solve([0.0])
+    assert plan.status is Status.SOLVED
+    assert ((plan.inputs >= 9990) & (plan.inputs <= 10010)).all()
