@@ -59,7 +59,8 @@ class Step:
         local, nx = self.local, self.local.states.shape[1]
         more = NEGLIGIBLE * np.abs(np.diagonal(self.hessian, axis1=1, axis2=2))
         extent = np.where(np.isfinite(local.extent), local.extent, local.sizes[1])
-        more[:, nx:] += COST_ROUNDING * max(abs(local.cost()), local.cost_size) / extent**2  # what saves none is none
+        size = max(abs(local.cost()), COST_ROUNDING * local.cost_size)
+        more[:, nx:] += COST_ROUNDING * size / extent**2  # what saves nothing is none
         return not self._curved(more)
 
     @property
