@@ -10,6 +10,14 @@ from mpc import Status
 from mpc.optimal_control import NonlinearMPC, Phase
 
 
+def runge_kutta(rate, x, h):
+    """State one classical step of h later."""
+    k1 = rate(x)
+    k2 = rate(x + h / 2 * k1)
+    k3 = rate(x + h / 2 * k2)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+
+
 def braking(stop, edge, **bounds):
     """Vehicle of 6 m/s that stops within `stop` metres; a disc of 1 m on the way."""
     speed, dt = 6.0, 0.1
@@ -241,10 +249,7 @@ def test_a_disc_that_another_way_keeps_off_is_not_softened():
     def step(x, u):
         rate = lambda z: ca.vertcat(z[1], (1 - z[0] ** 2) * z[1] - z[0] + u)  # noqa: E731
         for _ in range(2):
-            k1 = rate(x)
-            k2 = rate(x + 0.0375 * k1)
-            k3 = rate(x + 0.0375 * k2)
-            x = x + 0.0125 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.075 * k3))
+            x = runge_kutta(rate, x, 0.075)
         return x
 
     law = NonlinearMPC(Phase(
@@ -263,10 +268,7 @@ def test_a_disc_that_another_way_keeps_off_is_not_softened():
 def test_a_late_plan_that_keeps_limits_is_followed_as_one_in_time():
     def step(x, u):
         rate = lambda z: ca.vertcat(z[2] * ca.cos(z[3]), z[2] * ca.sin(z[3]), u)  # noqa: E731
-        k1 = rate(x)
-        k2 = rate(x + 0.05 * k1)
-        k3 = rate(x + 0.05 * k2)
-        return x + 0.1 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.1 * k3))
+        return runge_kutta(rate, x, 0.1)
 
     discs = np.array([[3, 0.05, 1], [5, -1.6, 0.8], [5, 1.5, 0.8]])
     law = NonlinearMPC(Phase(
@@ -300,10 +302,7 @@ def test_a_levitation_comes_back_after_a_spike_of_its_sensor(x, spike, iteration
     def step(x, u):
         rate = lambda z: ca.vertcat(z[1], 9810 - 9810 * ((1 + u) / (1 + z[0] / 10)) ** 2)  # noqa: E731
         for _ in range(2):
-            k1 = rate(x)
-            k2 = rate(x + 0.00125 * k1)
-            k3 = rate(x + 0.00125 * k2)
-            x = x + 0.0025 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.0025 * k3))
+            x = runge_kutta(rate, x, 0.0025)
         return x
 
     law = NonlinearMPC(
@@ -335,10 +334,7 @@ def test_a_plan_that_rests_between_two_wells_is_left(pull, drag, push, load, eff
         rate = lambda z: ca.vertcat(  # noqa: E731
             z[1], pull * z[0] - z[0] ** 3 / unit**2 - drag * z[1] + z[2], 3 * (push * unit * u - z[2])
         )
-        k1 = rate(x)
-        k2 = rate(x + 0.05 * k1)
-        k3 = rate(x + 0.05 * k2)
-        return x + 0.1 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.1 * k3))
+        return runge_kutta(rate, x, 0.1)
 
     law = NonlinearMPC(Phase(
         step, 3, 1, discrete=True, duration=horizon, u_bounds=(-most, most),
