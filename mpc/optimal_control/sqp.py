@@ -284,8 +284,8 @@ def _program(local: Local, dear: float, on: Multipliers | None, relaxed: bool = 
     bent = rows.pushed(-2 * held * aims, *_bent(local, whole, drift, lead))
     slopes = [bent, *([] if local.lost is None else [local.lost])]
     # what states cost and what inputs cost, apart
-    by_state = np.concatenate([np.stack([of_states, 0 * of_states]) for of_states, _ in slopes])
-    by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
+    by_state = np.array([part for of_states, _ in slopes for part in (of_states, 0 * of_states)])
+    by_input = np.array([part for _, of_inputs in slopes for part in (0 * of_inputs, of_inputs)])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
     return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, on)
@@ -343,24 +343,26 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     given = np.isfinite(prices[:, 0])
     size = 1 / np.sqrt(2 * prices[given, 1])  # a violation of this size has the quadratic cost ½
     q = np.concatenate([_times(program.roots, program.gradient[None])[0], prices[given, 0] * size])
-    violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots]
     acting = np.where(program.held > 0, -np.inf, local.room / rows.units)
     near = np.count_nonzero(acting <= PRIMAL)
     fresh = np.argsort(acting)[: near + near // 3]
     taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
+    y, pushes, solved = -q, np.zeros(0), True
     while True:
-        more = np.zeros((len(fresh), len(q)))
-        more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
-        taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
-        soft = np.flatnonzero(violations[taken] >= 0)
-        slots, passing = violations[taken[soft]], np.unique(violations[taken[soft]])
-        matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
-        least = np.zeros((len(passing), len(q)))
-        least[np.arange(len(least)), n + passing] = -1.0
-        bounds = local.room[taken] - rows.along(*program.start, taken)
-        sides = np.concatenate([bounds, np.zeros(len(least))])
-        units = np.concatenate([rows.units[taken], np.ones(len(least))])
-        y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
+        if len(fresh):
+            more = np.zeros((len(fresh), len(q)))
+            more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
+            taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
+            violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots[taken]]
+            soft = np.flatnonzero(violations >= 0)
+            slots, passing = violations[soft], np.unique(violations[soft])
+            matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
+            least = np.zeros((len(passing), len(q)))
+            least[np.arange(len(least)), n + passing] = -1.0
+            bounds = local.room[taken] - rows.along(*program.start, taken)
+            sides = np.concatenate([bounds, np.zeros(len(least))])
+            units = np.concatenate([rows.units[taken], np.ones(len(least))])
+            y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
         z = (program.roots @ y[:n].reshape(*program.roots.shape[:2], 1)).ravel()
         room = (local.room - rows.along(*program.moves(z))) / rows.units
         room[taken] = np.inf
@@ -392,8 +394,6 @@ def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, A
 
     Only what the rows see of y is a matter of them.
     """
-    if not len(rows):
-        return -q, np.zeros(0), True
     basis, seen = np.linalg.qr(rows.T)
     own = q @ basis
     result = DenseQP(np.eye(len(own)), seen.T, units, second=False).solve(own, bounds)
