@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import sys
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,15 +15,13 @@ from ccdtools.co_design.method_names import as_method_names
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, held_back, insisting
+from ccdtools.studies.command import INTERRUPTED, output_folder, program, resume_run, run_study, single_thread
 from ccdtools.studies.options import Options, described_studies, known_studies, located, number, numbers, whole_number
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools_ground.door import as_choice
 
 if TYPE_CHECKING:
     from ccdtools.co_design.method_comparison import MethodComparison
-    from ccdtools.studies.preparation import PreparedRun
-
-INTERRUPTED = 130  # This exit code tells an interruption.
 
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",
@@ -118,32 +114,7 @@ def run(
         drift=number("--drift", drift, "such as 0.05"), trial=trial, redesign_cost=redesign_cost,
     )  # fmt: skip
     processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
-    _begin(options, Path(study).stem, output, overwrite=overwrite, jobs=processes)
-
-
-def _begin(options: Options, name: str, output: str | None, *, overwrite: bool, jobs: int = 1) -> None:
-    """Run a study in a new folder; tell how to resume if interrupted."""
-    if output is not None:
-        _output(output).check_new(overwrite=overwrite, argument="--output")
-    folder = None
-    try:
-        with held_back():
-            from ccdtools.studies.asked_study import asked_study
-
-            asked = asked_study(options)  # first: what is wrong is said before the slow imports
-            import ccdtools.studies.report.report  # noqa: F401
-            from ccdtools.studies.preparation import prepare
-
-            prepared = prepare(options, asked)
-            _check_jobs(prepared, jobs)
-            folder = _new_folder(output, name, overwrite)
-        with folder.locked():
-            with held_back():
-                prepared.begin(folder)
-            with insisting():
-                _complete(folder, prepared, jobs)
-    except KeyboardInterrupt:
-        _stop(folder, jobs)
+    run_study(options, Path(study).stem, output, overwrite=overwrite, jobs=processes)
 
 
 @app.command()
@@ -152,22 +123,7 @@ def resume(
     jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes, for comparisons beside the loop.")] = "1",
 ) -> None:
     """Continue an interrupted run; what it had finished is read, not computed again."""
-    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
-    kept = RunFolder(folder)
-    try:
-        kept.check_layout()
-        with kept.locked():
-            with held_back():
-                import ccdtools.studies.report.report  # noqa: F401  (all that is slow to import)
-                from ccdtools.studies.preparation import prepare_again
-
-                prepared = prepare_again(kept)
-                kept.check_stages()
-                _check_jobs(prepared, processes)
-            with insisting():
-                _complete(kept, prepared, processes)
-    except KeyboardInterrupt:
-        _stop(kept, processes)
+    resume_run(RunFolder(folder), as_jobs(whole_number("--jobs", jobs), "--jobs"))
 
 
 @app.command()
@@ -182,7 +138,7 @@ def sweep(
     from ccdtools.studies.sweep import read_sweep, tidy
 
     runs = read_sweep(file)
-    within = _output(output).path if output is not None else Path("runs", Path(file).stem)
+    within = output_folder(output).path if output is not None else Path("runs", Path(file).stem)
     folders = [one.folder(within) for one in runs]
     for place, (one, folder) in enumerate(zip(runs, folders), 1):
         typer.echo(f"\n{one.name}, {place} of {len(runs)}")
@@ -191,7 +147,7 @@ def sweep(
         elif (folder.path / "run.json").is_file():
             resume(str(folder.path))
         else:
-            _begin(one.options, one.name, str(folder.path), overwrite=False)
+            run_study(one.options, one.name, str(folder.path), overwrite=False)
     with RunFolder(within).writing("--output"):
         (within / "sweep.csv").write_text(tidy(runs, within), encoding="utf-8")
     typer.echo(f"\nGains of all runs: {within / 'sweep.csv'}")
@@ -218,7 +174,7 @@ def codesign(
     options = Options(located(study), seed=whole_number("--seed", seed), x0=numbers("--x0", x0), p0=numbers("--p0", p0))
     processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
     asked = "all" if methods == "all" else as_method_names(methods.split(","), "--methods")
-    folder = None if output is None else _output(output)
+    folder = None if output is None else output_folder(output)
     if folder is not None:
         folder.check_new(overwrite=overwrite, argument="--output", mark="methods.csv")
     with held_back():
@@ -228,7 +184,7 @@ def codesign(
         own = asked_study(options)[0]
         from ccdtools.co_design.compare_methods import compare_methods
         from ccdtools.studies.report.method_page import write_methods, write_table
-    _single_thread()
+    single_thread()
     ended: list[MethodComparison] = []
 
     def keep(found: MethodComparison) -> None:
@@ -276,7 +232,7 @@ def reproduce(
     that CCDTOOLS_DATA names.
     """
     processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
-    path = _output(output).path
+    path = output_folder(output).path
     if quick and paper_budgets:
         raise InputError("--paper-budgets", "it together with --quick", "one of them")
     with held_back():
@@ -285,7 +241,7 @@ def reproduce(
 
         budget = Budget(quick, paper_budgets, recorded_road())
         folder = begun(path, budget, overwrite=overwrite)
-    _single_thread()
+    single_thread()
     try:
         with folder.locked("--output"), insisting():
             typer.echo(reproduced(folder, budget, jobs=processes, echo=typer.echo, progress=sys.stderr.isatty()))
@@ -328,7 +284,7 @@ def new(name: Annotated[str, typer.Argument(help="Name of the study; the file is
     from ccdtools.studies.template import write_template
 
     path = write_template(name)
-    typer.echo(f"Wrote {path}. Try it with: {shlex.join([*_program(), 'run', str(path), '--quick'])}")
+    typer.echo(f"Wrote {path}. Try it with: {shlex.join([*program(), 'run', str(path), '--quick'])}")
 
 
 @app.command()
@@ -368,97 +324,6 @@ def _run(arguments: list[str]) -> int:
             raise
         typer.echo(f"ccdtools: {line}", err=True)
         return 2  # This exit code tells misuse.
-
-
-def _stop(folder: RunFolder | None, jobs: int) -> NoReturn:
-    """Say what was kept and how to go on."""
-    if folder is None or not (folder.path / "run.json").is_file():
-        typer.echo("\nInterrupted before anything was begun.")
-    else:
-        typer.echo(f"\nInterrupted. Finished and kept: {', '.join(folder.finished()) or 'nothing yet'}.")
-        asked = [] if jobs == 1 else ["--jobs", str(jobs)]
-        typer.echo(f"Continue with: {shlex.join([*_program(), 'resume', str(folder.path), *asked])}")
-    raise typer.Exit(INTERRUPTED)
-
-
-def _program() -> list[str]:
-    """Command of this program, as a shell can call it again."""
-    called = sys.argv[0]
-    if called.endswith(".py"):
-        return [sys.executable, "-m", "ccdtools"]
-    found = shutil.which(Path(called).name)
-    return [Path(called).name] if found and Path(found).resolve() == Path(called).resolve() else [called]
-
-
-def _check_jobs(prepared: PreparedRun, jobs: int) -> None:
-    """Raise where there is nothing for other processes."""
-    from ccdtools.studies.side_by_side import SideBySide
-
-    if jobs != 1 and isinstance(prepared.study, SideBySide):
-        raise InputError("--jobs", jobs, "1 for a study with its uses side by side")
-
-
-def _complete(folder: RunFolder, prepared: PreparedRun, jobs: int) -> None:
-    """Run what is not finished yet, and report."""
-    from ccdtools.studies.fitted_run import FittedRun
-    from ccdtools.studies.generations import Generations
-    from ccdtools.studies.loading import blamed_on_source
-    from ccdtools.studies.on_sensors import OnSensors
-    from ccdtools.studies.report.fitted_page import write_fitted
-    from ccdtools.studies.report.report import write_report
-    from ccdtools.studies.report.side_by_side_page import write_side_by_side
-    from ccdtools.studies.report.tables import console_table
-    from ccdtools.studies.side_by_side import SideBySide
-    from ccdtools.studies.side_by_side_run import SideBySideRun
-
-    options = prepared.options
-    study = prepared.study
-    quick = " (QUICK: few samples, not for conclusions)" if options.quick else ""
-    typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
-    start = time.perf_counter()
-    _single_thread()
-    asked: dict[str, Any] = {"seed": options.seed, "echo": typer.echo, "progress": sys.stderr.isatty()}
-    with blamed_on_source(options.study):
-        if isinstance(study, SideBySide):
-            found = SideBySideRun(study, prepared.config, folder, **asked).run()
-            text, report = write_side_by_side(study, *found, folder, quick=options.quick)
-        elif isinstance(study, OnSensors):
-            asked |= {"generations": options.generations, "jobs": jobs}
-            kept = FittedRun(study, prepared.config, folder, **asked).run()
-            text, report = write_fitted(study, *kept, folder, quick=options.quick)
-        else:
-            asked |= {"generations": options.generations, "jobs": jobs}
-            results = Generations(study, prepared.config, folder, **asked).run()
-            typer.echo("Figures and report")
-            report = write_report(study, folder)
-            text = f"{results['headline']}\n\n{console_table(results)}"
-    typer.echo(f"\n{text}")
-    typer.echo(f"\nReport, after {time.perf_counter() - start:.0f} s: {report}")
-
-
-def _new_folder(output: str | None, name: str, overwrite: bool) -> RunFolder:
-    """The folder asked for, or the first free one of runs/NAME-1, -2, …"""
-    if output is not None:
-        return RunFolder.create(_output(output).path, overwrite=overwrite, argument="--output")
-    number = 1
-    while os.path.lexists(Path("runs", f"{name}-{number}")):
-        number += 1
-    return RunFolder.create(Path("runs", f"{name}-{number}"), argument="runs")
-
-
-def _output(path: str) -> RunFolder:
-    """Output folder, not made yet."""
-    if not path.strip():
-        raise InputError("--output", repr(path), "the path of a new folder")
-    return RunFolder(path)
-
-
-def _single_thread() -> None:
-    """Limit torch to OMP_NUM_THREADS threads, or one."""
-    import torch
-
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    torch.set_num_threads(int(asked) if asked.isdecimal() and int(asked) > 0 else 1)
 
 
 if __name__ == "__main__":
