@@ -11,7 +11,8 @@ from ccdtools.twin.identified import (
 )
 from ccdtools.twin.log_drift import drift_of_log as drift_of_log, outside_data as outside_data
 from ccdtools.twin.online import OnlineConfig as OnlineConfig
-from ccdtools.twin.plant_fit import OutputLog as OutputLog, PlantFit as PlantFit, fit_plant as fit_plant
+from ccdtools.twin.output_log import OutputLog as OutputLog
+from ccdtools.twin.plant_fit import PlantFit as PlantFit, fit_plant as fit_plant
 from ccdtools.twin.replay import replay_problem as replay_problem, updated_problem as updated_problem
 from ccdtools.twin.tightened import RobustMPC as RobustMPC, robust_mpc as robust_mpc
 from ccdtools.twin.trial import TrialConfig as TrialConfig, switchback_on as switchback_on

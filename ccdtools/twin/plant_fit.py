@@ -10,32 +10,23 @@ import casadi as ca
 import numpy as np
 from scipy.stats import norm, t
 
-from ccdtools.arrays import Array, ArrayField, Immutable, Mask
+from ccdtools.arrays import Array, Immutable, Mask
 from ccdtools.co_design.measured import kalman_filter
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.estimation.innovations import Innovations
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
-from ccdtools.trajectory import Trajectory, check_clock
+from ccdtools.trajectory import Trajectory
 from ccdtools.twin.likelihood import Likelihood, information_rows
 from ccdtools.twin.lost_outputs import inputs_answered
-from ccdtools.twin.residuals import errors_in, residuals, warn_of_outside
+from ccdtools.twin.output_log import OutputLog, as_output_log, output_names
+from ccdtools.twin.residuals import errors_in, residuals
 from ccdtools.twin.state_errors import StateErrors
-from ccdtools.twin.stuck_sensors import warn_of_spikes, warn_of_stuck
+from ccdtools.twin.stuck_sensors import warn_of_spikes
 from ccdtools.twin.tolerances import FEWEST_FITTED
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, mean_disturbance, stated_plant
-from ccdtools_ground.door import (
-    as_array,
-    as_choice,
-    as_count,
-    as_finite,
-    as_floats,
-    as_generator,
-    as_instance,
-    as_share,
-    shown,
-)
+from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, as_share, shown
 from ccdtools_ground.outcome import Outcome
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.estimation.information import Information
@@ -68,42 +59,6 @@ class FitStatus(Outcome):
     )
     AT_BOUND = "A parameter is held by a bound of the stated plant: widen it, or doubt the plant."
     UNSOLVED = "The likelihood could not be maximised: narrow the bounds of the stated plant, or log longer."
-
-
-@dataclass(frozen=True, eq=False)
-class OutputLog(Immutable):
-    """Logged outputs and inputs of several runs.
-
-    A `Trajectory` of a loop with sensors is one, too.
-
-    Parameters
-    ----------
-    outputs : (n, T, ny) array_like
-        NaN where a sensor told nothing; of one run also (T, ny).
-    inputs : (n, T, nu) array_like
-        As applied from each sample to the next.
-    design : (np,) array_like
-    times : (T,) array_like, optional
-        Of the samples [s]: where they are given the clock is held against the sampling time of the model.
-    """
-
-    outputs: ArrayField
-    inputs: ArrayField
-    design: ArrayField
-    times: ArrayField = None
-
-    def __post_init__(self) -> None:
-        for name in ("outputs", "inputs"):
-            rows = as_floats(name, getattr(self, name))
-            self._set(**{name: rows[None] if rows.ndim == 2 else rows})
-        if self.outputs.ndim != 3 or np.isinf(self.outputs).any():
-            raise InputError("outputs", f"shape {self.outputs.shape}", "(n, T, ny), NaN in gaps and else finite")
-        n, steps = self.outputs.shape[:2]
-        if self.inputs.ndim != 3 or self.inputs.shape[:2] != (n, steps):
-            raise InputError("inputs", f"shape {self.inputs.shape}", f"({n}, {steps}, nu), as many as outputs")
-        as_finite("inputs", self.inputs)
-        if self.times is not None:
-            self._set(times=as_array("times", self.times, (steps,)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -286,7 +241,7 @@ def fit_plant(
         )
         p, measured = seen[-1].p, sum(log.e_next[:, 1:].size for log in seen)
     else:
-        given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
+        given = [as_output_log(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
         p, measured = given[-1].design, sum(int(np.isfinite(log.outputs).sum()) for log in given)
     unknown = changed_plant(problem, p) if plant is None else stated_plant(problem, plant)
     noises = NOISE * scaled if output is not None else tuple(f"correlation of {x}" for x in problem.state_names)
@@ -317,7 +272,7 @@ def fit_plant(
         answered, lasting = False, _lasting(left) or _carried_whole(found.parts, values[:m], held[m:])
     else:
         innovations = [part.normalised(values)[0] for part in found.parts]
-        warn_of_spikes("logs", innovations, _output_names(problem))
+        warn_of_spikes("logs", innovations, output_names(problem))
         lasting = _lasting(innovations, lags=(1, 2, 4, 8))
         answered = inputs_answered(found.parts, [log.outputs for log in given], values)
     open_ = _open(known, unknown)
@@ -420,36 +375,3 @@ def _innovations(
     disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
     return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
-
-
-def _output_names(problem: CoDesignProblem) -> Sequence[str]:
-    """Names of the outputs that sensors measure."""
-    stated: Any = problem.measurement
-    plant = isinstance(stated.output, Plant)
-    return stated.output.output_names if plant else [f"y{j + 1}" for j in range(len(stated.output))]
-
-
-def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
-    """Log of the problem's sizes, without runs that diverged."""
-    outputs = log.outputs if isinstance(log, OutputLog | Trajectory) else None
-    if outputs is None:
-        expected = "a Trajectory with outputs, as of deploy(…, output=problem.measurement), or an OutputLog"
-        raise InputError(argument, shown(log), expected)
-    kept = ~np.asarray(getattr(log, "diverged", np.zeros(len(outputs), dtype=bool)))
-    if not kept.any():
-        raise InputError(argument, f"{len(kept)} runs that all diverged", "at least one that did not")
-    p = problem.design.check_one(log.design, argument=f"{argument}.design")
-    found = OutputLog(outputs[kept], log.inputs[kept], p)
-    if isinstance(log, OutputLog):
-        check_clock(f"{argument}.times", log.times, problem.model.dt, "Or put NaN where samples are missing.")
-    elif not np.isclose(log.dt, problem.model.dt):
-        raise InputError(argument, f"dt = {log.dt:g} s", f"dt = {problem.model.dt:g} s of the model")
-    stated = problem.measurement.output
-    sizes = (found.outputs.shape[2], found.inputs.shape[2])
-    asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)
-    if sizes != asked:
-        raise InputError(argument, f"{sizes[0]} outputs and {sizes[1]} inputs", f"{asked[0]} and {asked[1]}")
-    warn_of_outside("inputs", "U", problem.input_limits(p), found.inputs)
-    names = _output_names(problem)
-    warn_of_stuck(argument, found.outputs, found.inputs, names, lambda: np.sqrt(np.diag(kalman_filter(problem, p).V)))
-    return found
