@@ -17,7 +17,6 @@ Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995 (L-BFGS-B, in SciPy); L
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -28,7 +27,6 @@ from tqdm import tqdm
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import FEW_PARAMETERS, LITTLE_EXPLORATION, QUIET_BLOCKS, QUIET_BLOCKS_LIMITED, SEEN_RUNS
 from ccdtools.co_design.climb import SampleAverage, climb
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import (
     Episode,
@@ -44,9 +42,9 @@ from ccdtools.co_design.differentiable_model import (
 )
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
+from ccdtools.co_design.iterate import Iterate, Task
 from ccdtools.co_design.learned_result import Convergence
-from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.result import CoDesignStatus, HistoryRow
 from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.tolerances import FINER_STEPS, LEAST_FILL, SAME_PLACE, WORTHWHILE_VIOLATION
@@ -56,72 +54,6 @@ from learning.networks import ActorCritic
 from learning.ppo import PPO, prepare
 from learning.rollout import collect
 from learning.training import decay_exploration, first_exploration
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """Objective of a co-design, with its settings."""
-
-    problem: CoDesignProblem  # what the gradients come from
-    judge: CoDesignProblem  # what iterates are scored on
-    method: str  # "pathwise", "ppo" or "pathwise+ppo"
-    config: CoDesignConfig
-    limits: StateLimitPenalty | None = None
-    begun: str = ""  # what is to be said of the policy that it begins with
-
-    @property
-    def pathwise(self) -> bool:
-        """Whether the policy follows its gradient through the model."""
-        return "pathwise" in self.method and self.config.policy_rate > 0
-
-    @property
-    def ppo(self) -> bool:
-        """Whether the policy follows PPO."""
-        return "ppo" in self.method
-
-    @property
-    def moves_policy(self) -> bool:
-        """Whether anything moves the policy."""
-        return self.pathwise or self.ppo
-
-    @property
-    def smooth(self) -> bool:
-        """True if policy or design moves, by gradients through the model alone."""
-        alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"
-        return alone and (self.pathwise or self.moving)
-
-    @property
-    def designing(self) -> bool:
-        """Whether a design other than the given may be found."""
-        return self.config.design_rate > 0 and bool(self.problem.design.free.any())
-
-    @property
-    def moving(self) -> bool:
-        """Whether any entry of a start's design moves, apart from whole numbers."""
-        return self.designing and bool(self.problem.design.allowed.free.any())
-
-
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """Design and policy, with their results on the fixed scenarios."""
-
-    v: Tensor
-    agent: ActorCritic
-    returns: Array  # (n,): of every evaluation run; a diverged one with its whole, huge cost
-    violation: float  # by how much the tolerance of the state limits is exceeded
-    lost: float  # fraction of the runs that diverged
-    limits: LimitsOutcome | None = None  # how it keeps the state limits
-
-    @property
-    def score(self) -> float:
-        """Mean return over the evaluation runs."""
-        return float(self.returns.mean())
-
-    def beats(self, other: Iterate) -> bool:
-        """True if this iterate is preferred, by violation, then return."""
-        if self.violation > 0 or other.violation > 0:
-            return self.violation < other.violation
-        return self.score > other.score
 
 
 class Ascent:

@@ -13,13 +13,14 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.agents import check_agent
-from ccdtools.co_design.ascent import Ascent, Task
+from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy, policy_from_scratch
+from ccdtools.co_design.iterate import Task
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth

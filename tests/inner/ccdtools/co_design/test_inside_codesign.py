@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from ccdtools import CoDesignConfig, codesign
-from ccdtools.co_design.ascent import Ascent, Task
+from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.differentiable_model import scenario_tensors
+from ccdtools.co_design.iterate import Task
 from learning import PPOConfig
 
 TINY = CoDesignConfig(
