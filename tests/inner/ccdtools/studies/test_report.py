@@ -8,72 +8,23 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
-import casadi as ca
 import numpy as np
 import pytest
 from markupsafe import escape
 from matplotlib.figure import Figure
-from small_runs import tiny
-from spring_run import run_spring
+from two_masses import two_masses
 
-from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective, figure_style as style
+from ccdtools import CVaR, Plant, QuadraticObjective, figure_style as style
 from ccdtools.evidence.percent import number
 from ccdtools.exceptions import InputError
-from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
-from ccdtools.studies.report import set_figure
+from ccdtools.studies import RunFolder, load_study
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.gains import gain_text
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.landscape import draw_curve, draw_path
 from ccdtools.studies.report.report import render, write_report
-from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.report.tables import console_table
-from invariant_sets import Certificate, Polytope, SetResult, Status
-
-
-def two_masses() -> Study:
-    """Four states, two inputs, two disturbances, three design parameters, one long real run."""
-    x, u, w, p = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("w", 2), ca.SX.sym("p", 3)
-    spring = p[0] * (x[2] - x[0]) + p[1] * (x[3] - x[1])
-    dynamics = ca.vertcat(x[1], spring - p[2] * x[1] + u[0] + w[0], x[3], -spring + u[1] + w[1])
-    design = DesignSpace(["k", "c", "d"], [1.0, 0.1, 0.1], [3.0, 1.0, 1.0], ["N/m", "N·s/m", "N·s/m"])
-    names = ["q1 [m]", "v1 [m/s]", "q2 [m]", "v2 [m/s]"]
-    plant = Plant(x, u, w, p, dynamics, design, dt=0.2, state_names=names, input_names=["f1 [N]", "f2 [N]"])
-    noise = Gaussian(std=[0.2, 0.2])
-    return Study(
-        name="two_masses", title="Two masses", plant=plant, X=Polytope.from_bounds([-2.0] * 4, [2.0] * 4),
-        U=Polytope.from_bounds([-3.0] * 2, [3.0] * 2), objective=QuadraticObjective(Q=np.eye(4), R=0.1 * np.eye(2)),
-        disturbance=noise, x0=[1.0, 0.0, -0.5, 0.0], p0=[1.0, 0.5, 0.5], steps=20,
-        real=RealPlant(plant, noise, x0=np.zeros(4), runs=1, steps=500),
-    )  # fmt: skip
-
-
-def finished(study: Study, path):
-    """Make a run of hardly any iterations that is not called quick, and its report."""
-    config = replace(tiny(configuration(study, quick=True)), quick=False, sets_time_limit=2.0)
-    folder = RunFolder.create(path)
-    Generations(study, config, folder, generations=1, seed=3, echo=lambda line: None, progress=False).run()
-    write_report(study, folder)
-
-
-def read(path):
-    """The folder of a finished run and its results."""
-    folder = RunFolder(path / "run")
-    return folder, folder.read_json("results.json")
-
-
-@pytest.fixture(scope="module")
-def spring(stored):
-    """A quick run of two generations on two states."""
-    return read(stored("spring", run_spring))
-
-
-@pytest.fixture(scope="module")
-def masses(stored):
-    """A run that is not quick, of a study that is in no file of the package."""
-    return read(stored("masses", lambda place: finished(two_masses(), place / "run")))
 
 
 def rows_of(folder, name):
@@ -347,13 +298,6 @@ def test_a_gain_without_an_interval_or_without_a_reference_says_so():
     assert gain_text(place | {"start": 0.0}, "total") == "n/a"
 
 
-def test_the_page_and_the_results_say_which_sets_the_samples_came_from(spring, masses):
-    for folder, results in (spring, masses):
-        sets = results["initialisation"]["sets"]
-        assert sets["X_fea"] + sets["lqr"] + sets["X"] > 0
-        assert f"Sets: {sets['text']}." in (folder.path / "report.html").read_text(encoding="utf-8")
-
-
 def test_a_run_that_began_with_mpc_or_identified_its_plant_says_so(spring):
     folder, results = spring
     told = {
@@ -363,51 +307,6 @@ def test_a_run_that_began_with_mpc_or_identified_its_plant_says_so(spring):
     page = render(FinishedRun(load_study(folder.path.parent / "spring.py"), folder, results | told), [])
     assert "the first policy imitates nonlinear MPC of the model, on 12 samples" in page
     assert page.count("The logs tell gain 0.5 ± 0.1.") == len(results["generations"])
-
-
-def asked_for_no_sets(folder, results):
-    """The same run, had it been asked for no sets."""
-    return FinishedRun(two_masses(), folder, results | {"configuration": results["configuration"] | {"sets": "none"}})
-
-
-def test_a_run_without_sets_draws_none_and_says_why(masses, monkeypatch):
-    run = asked_for_no_sets(*masses)
-    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: pytest.fail("a set was asked for")))
-    assert feasible_set_figure(run) == []
-    assert "No figure of X_fea(p): the run was asked for sets = &#34;none&#34;." in render(run, [])
-
-
-def test_a_figure_of_inner_sets_says_so(masses, monkeypatch):
-    box = Polytope.from_bounds([-1.0] * 4, [1.0] * 4)
-    inner = SetResult(box, box, Status.TIME_LIMIT, 1, Certificate(0.0, 1.0, 16))
-    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: SimpleNamespace(result=lambda design: inner)))
-    (figure,) = feasible_set_figure(FinishedRun(two_masses(), *masses))
-    assert "Not the largest, but a part of it" in figure.caption
-
-
-def test_sets_of_a_plant_that_is_not_linear_are_called_those_of_its_linearisation(masses, monkeypatch):
-    box = Polytope.from_bounds([-1.0] * 4, [1.0] * 4)
-    found = SetResult(box, box, Status.CONVERGED, 1, Certificate(0.0, 0.0, 16))
-    monkeypatch.setattr(FinishedRun, "sets", property(lambda self: SimpleNamespace(result=lambda design: found)))
-    for linear, title in ((True, "Feasible sets"), (False, "Feasible sets of the linearisation")):
-        monkeypatch.setattr(Plant, "linear", linear)
-        (figure,) = feasible_set_figure(FinishedRun(two_masses(), *masses))
-        assert figure.title == title
-        assert ("which the plant itself may leave" in figure.caption) is not linear
-
-
-def test_no_projection_is_drawn_of_sets_in_many_dimensions():
-    assert [title for _, title in set_figure._cuts(2)] == [""]
-    assert [title for _, title in set_figure._cuts(4)] == ["projection", "slice, other states 0"]
-    assert [title for _, title in set_figure._cuts(8)] == ["slice, other states 0"]
-
-
-@pytest.mark.parametrize(("nx", "pairs"), [(3, [(0, 2), (1, 2)]), (6, [(0, 1), (4, 5)])])
-def test_sets_are_drawn_on_the_states_in_which_they_differ_most(nx, pairs):
-    wider = np.ones(nx)
-    wider[-1], wider[0] = 3.0, 1.5
-    sets = {name: Polytope.from_bounds(-half, half) for name, half in (("one", np.ones(nx)), ("other", wider))}
-    assert sorted(set_figure._most_different_pairs(sets, nx)) == pairs
 
 
 def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
