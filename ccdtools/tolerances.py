@@ -10,6 +10,8 @@ DIVERGENCE = 1e3  # A run is lost when a state exceeds this many half-widths of 
 DIVERGENCE_LIMIT = (
     1e6  # A run has diverged beyond this, in sizes of first states, where neither a limit nor X is given.
 )
+CHANGED_INPUT = 1e-9  # An input moved by less than this part of the range of U was let through as it was.
+DESIGN_RANGE = 1.05  # Designs may lie this far out, in half-widths of the range that an agent was made for.
 
 # --- statistics ------------------------------------------------------------------------------------------------------
 COSINES = 4  # The variance at frequency zero is estimated from so many frequencies, the degrees of Student's t.

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools.tolerances import SAME_BOUNDS
+from ccdtools.tolerances import DESIGN_RANGE, SAME_BOUNDS
 from ccdtools_ground.door import as_instance
 from learning.networks import ActorCritic
 

@@ -1,4 +1,4 @@
-"""Task of a co-design from one start, and its iterates."""
+"""Task and iterates of a co-design."""
 
 from __future__ import annotations
 

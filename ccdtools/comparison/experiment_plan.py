@@ -1,4 +1,4 @@
-"""Plan of an experiment: what all its tasks have in common, and how one is computed."""
+"""Plan of an experiment."""
 
 from __future__ import annotations
 

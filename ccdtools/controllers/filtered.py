@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.controllers.controllers import Controller, as_states
 from ccdtools.controllers.signals import Around, as_controller, needs_of
-from ccdtools.controllers.tolerances import CHANGED_INPUT
 from ccdtools.exceptions import InputError
+from ccdtools.tolerances import CHANGED_INPUT
 from ccdtools_ground.door import as_instance
 from invariant_sets import AdmissibleInputs
 

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.controllers.policy_code import PolicyCode, write_c
 from ccdtools.controllers.policy_onnx import write_onnx
-from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.exceptions import InputError
+from ccdtools.tolerances import DESIGN_RANGE
 from ccdtools_ground.door import as_finite, as_floats, as_generator, as_instance, as_vector, writable_path
 from learning import checkpoint
 from learning.networks import ActorCritic, Layers

@@ -1,4 +1,4 @@
-"""Runs of studies from the command line, begun and gone on with."""
+"""Runs that commands begin."""
 
 from __future__ import annotations
 

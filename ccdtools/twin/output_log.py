@@ -1,4 +1,4 @@
-"""Logged outputs of several runs, and their checks."""
+"""Logged outputs."""
 
 from __future__ import annotations
 
