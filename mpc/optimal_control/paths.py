@@ -50,6 +50,16 @@ class Path:
         return self.error <= OPTIMAL
 
     @property
+    def falls(self) -> bool:
+        """Whether its program tells of a saddle."""
+        return self.last is not None and not self.last.strict and self.last.saddle
+
+    @property
+    def falling(self) -> tuple[Array, Array]:
+        """Moves of states and inputs along which the cost falls at a saddle."""
+        return (0 * self.states, 0 * self.inputs) if self.last is None else self.last.falling
+
+    @property
     def moved(self) -> Path:
         """Path after the step of its program."""
         if self.last is None:

@@ -15,6 +15,7 @@ from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.local_statement import largest
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.paths import CONVERGING, REAL_TIME, Path, contracted, programs
 from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
@@ -35,7 +36,7 @@ from mpc.rollout import (
     spread_signals,
     violation_of,
 )
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, OPTIMAL, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, NEGLIGIBLE, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, INTERIOR = "linear law", "Ipopt"
 OPTIMA = (Status.SOLVED, Status.SOFTENED)
@@ -153,7 +154,8 @@ class QuadraticPlanner:
             cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
-            if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
+            at_saddle = found.status is Status.SOLVED and done[-1].falls
+            if not (at_saddle or found.status is Status.SOFTENED):  # beyond hard limits there may be nothing to follow
                 return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
         at = replace(first, name=CONVERGING, last=None)
         if not sample.far:
@@ -161,7 +163,9 @@ class QuadraticPlanner:
         if sample.clock.up:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
-        enough = not self._cheaper(sample, self._linear_law(sample.x, sample.given), at) if follow else stayed
+        saddle, at = at, self._past_saddles(sample, at)
+        linear_law = self._linear_law(sample.x, sample.given)
+        enough = at is saddle and (not self._cheaper(sample, linear_law, at) if follow else stayed)
         # it may be a saddle, to which plans beside it need not come back
         if at.solved and sample.size > TINY and not (at.last and at.last.strict):
             beside = self._followed(sample.x, replace(self._aside(at), gains=None), sample.given)
@@ -210,6 +214,28 @@ class QuadraticPlanner:
         first = replace(at, last=None)
         return contracted(self._programs(sample, first), self.most) or first
 
+    def _past_saddles(self, sample: _Sample, at: Path) -> Path:
+        """Itself, or where programs lead from what costs less than a saddle."""
+        while at.solved and at.falls:
+            aside = self._off(sample, at)
+            further = at if aside is None else self._contracted(sample, aside)
+            if not self._cheaper(sample, further, at):
+                break
+            at = further
+        return at
+
+    def _off(self, sample: _Sample, at: Path) -> Path | None:
+        """Path that costs less than a saddle, along what falls there."""
+        states, inputs = at.falling
+        most = 1 / max(largest(inputs / self.stages.sizes[1]), TINY)
+        for size in most * np.geomspace(1.0, NEGLIGIBLE**2, 41):
+            for along in (size, -size):
+                moved = replace(at, states=at.states + along * states, inputs=at.inputs + along * inputs)
+                path = self._followed(sample.x, moved, sample.given)
+                if self._cheaper(sample, path, at):
+                    return path
+        return None
+
     def _programs(self, sample: _Sample, at: Path) -> Iterator[Path]:
         """Paths of a sample, each moved by the program at the one before."""
         stated = partial(self.stages.at, sample.x, given=sample.given)
@@ -226,7 +252,8 @@ class QuadraticPlanner:
             if shot is None:
                 continue
             states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
-            at = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
+            near = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
+            at = self._past_saddles(sample, near)
             yield at
             if path.name == SHIFTED and at.last and at.solved and not at.last.relaxed:
                 return

@@ -57,7 +57,7 @@ class Step:
     def saddle(self) -> bool:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
         local, nx = self.local, self.local.states.shape[1]
-        more = NEGLIGIBLE * np.abs(np.diagonal(self.hessian, axis1=1, axis2=2))
+        more = NEGLIGIBLE**2 * np.abs(np.diagonal(self.hessian, axis1=1, axis2=2))
         extent = np.where(np.isfinite(local.extent), local.extent, local.sizes[1])
         size = max(abs(local.cost()), COST_ROUNDING * local.cost_size)
         more[:, nx:] += COST_ROUNDING * size / extent**2  # what saves nothing is none
@@ -68,21 +68,34 @@ class Step:
         """Whether no limit of changes of inputs pushes, along which no block of a Hessian lies."""
         return not self.multipliers.pushes[self.local.rows.by_before.any(axis=1)].any()
 
-    @property
+    @cached_property
     def strict(self) -> bool:
         """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
         return self._curved(np.zeros(self.hessian.shape[:2]))
 
-    def _curved(self, more: Array) -> bool:
-        """Whether it, with more (N + 1, nx + nu) on its diagonal, rises along limits that push."""
-        own, on, local = self.program, self.multipliers, self.local
-        if own.hessian is self.hessian:
-            return True
-        held, rows = _held(local, own.dear, on.pushes, self.relaxed), local.rows
+    @property
+    def falling(self) -> tuple[Array, Array]:
+        """Moves of states and inputs along which it falls most, of any size."""
+        (A, B, gaps, first), gains, unit = self.local.about, self.program.along[2], self.program.unit
+        falls = _by_moves(A, B, gains, _priced(self.local, self._prices, self.hessian))[0]
+        least = unit * np.linalg.eigh(unit[:, None] * falls * unit)[1][:, 0]
+        states, inputs = moved(A, B, gains, 0 * gaps, 0 * first, least.reshape(1, *self.inputs.shape))
+        return states[0], inputs[0]
+
+    @cached_property
+    def _prices(self) -> Array:
+        """Prices (m,) of moves across limits that push."""
+        own, on, local, rows = self.program, self.multipliers, self.local, self.local.rows
         price = np.append(local.priced(self.relaxed, own.dear)[:, 1], np.inf)[rows.slots] / rows.amounts**2
         passed = np.isfinite(price) & (on.pushes > 0) & (local.room < -FEASIBLE * rows.units)
+        return np.where(passed, price, _held(local, own.dear, on.pushes, self.relaxed))
+
+    def _curved(self, more: Array) -> bool:
+        """Whether it, with more (N + 1, nx + nu) on its diagonal, rises along limits that push."""
+        if self.program.hessian is self.hessian:
+            return True
         whole = self.hessian + more[:, :, None] * np.eye(more.shape[1])
-        return _condensed(local, np.where(passed, price, held), whole) is not None
+        return _condensed(self.local, self._prices, whole) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,9 +309,7 @@ def _condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array,
 
     None where blocks are not positive definite, or no numbers.
     """
-    (A, B, _, _), rows, near = local.about, local.rows, np.flatnonzero(held)
-    whole, sides = hessian.copy(), rows.sides[near]
-    np.add.at(whole, rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
+    (A, B, _, _), whole = local.about, _priced(local, held, hessian)
     try:
         gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
         blocks = 2 * deviating if local.regulated is None else _by_moves(A, B, gains, whole)
@@ -306,6 +317,14 @@ def _condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array,
     except np.linalg.LinAlgError:
         return None
     return (whole, gains, blocks, roots) if np.isfinite(roots).all() else None
+
+
+def _priced(local: Local, held: Array, hessian: Array) -> Array:
+    """Hessian priced across rows."""
+    near, whole = np.flatnonzero(held), hessian.copy()
+    sides = local.rows.sides[near]
+    np.add.at(whole, local.rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
+    return whole
 
 
 def _by_moves(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
