@@ -166,11 +166,6 @@ class QuadraticPlanner:
         saddle, at = at, self._past_saddles(sample, at)
         linear_law = self._linear_law(sample.x, sample.given)
         enough = at is saddle and (not self._cheaper(sample, linear_law, at) if follow else stayed)
-        # it may be a saddle, to which plans beside it need not come back
-        if at.solved and sample.size > TINY and not (at.last and at.last.strict):
-            beside = self._followed(sample.x, replace(self._aside(at), gains=None), sample.given)
-            left, at = at, self._contracted(sample, beside)
-            enough = enough and not (self._cheaper(sample, at, left) or (at.last and at.last.saddle))
         if at.solved and enough:
             return self._plan(sample, at)
         plans = [] if at.last is None else [self._plan(sample, at)]
