@@ -249,9 +249,12 @@ class MPCProblem(Immutable):
 
     @cached_property
     def state_extent(self) -> Array:
-        """Size (nx,) of each state by bounds, else by what inputs move."""
-        moved = np.abs(self.B) @ np.where(self.input_extent > 0, self.input_extent, 1.0)
-        return first_positive(self.limits.state_extent(), moved, np.ones(self.nx))
+        """Size (nx,) of each state by bounds, else by what inputs move first."""
+        extent = np.where(self.input_extent > 0, self.input_extent, 1.0)
+        moved = first_positive(self.limits.state_extent(), *(each @ extent for each in self._responses(self.A)))
+        weight = np.diag(self.Q)
+        price = max((weight * moved**2).max(), (np.diag(self.R) * extent**2).max())  # of a state that no input moves
+        return first_positive(moved, np.sqrt(price / np.where(weight > 0, weight, np.inf)), np.ones(self.nx))
 
     @cached_property
     def state_size(self) -> Array:

@@ -182,7 +182,8 @@ class NonlinearMPC(Immutable):
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
-        sizes = MPCProblem(A, B, Q=self.Q, R=self.R, horizon=1, P=np.eye(self.states), X=self.X, U=self.U).state_extent
+        n = self.states
+        sizes = MPCProblem(A, B, Q=self.Q, R=self.R, horizon=n, P=np.eye(n), X=self.X, U=self.U).state_extent
         if np.abs(f / sizes).max() > STEADY:
             got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)

@@ -214,6 +214,8 @@ class QuadraticPlanner:
         while at.solved and at.falls:
             aside = self._off(sample, at)
             further = at if aside is None else self._contracted(sample, aside)
+            done = further.solved or sample.clock.up
+            further = further if done else self._by_ipopt(sample, further) or further
             if not self._cheaper(sample, further, at):
                 break
             at = further
@@ -236,18 +238,22 @@ class QuadraticPlanner:
         stated = partial(self.stages.at, sample.x, given=sample.given)
         return programs(at, stated, sample.clock, dear=sample.dear)
 
+    def _by_ipopt(self, sample: _Sample, path: Path) -> Path | None:
+        """Best path by programs from where Ipopt comes to, None where that is nowhere."""
+        general = self._general(self.law.soft or (sample.dear, sample.dear))
+        more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
+        found = general.near(*more, sample.size, sample.clock)
+        if found is None:
+            return None
+        states, inputs = found[0][:, : self.law.nx].copy(), found[1][:, : self.law.nu].copy()
+        return self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
+
     def _from_starts(self, sample: _Sample, known: bool) -> Iterator[Path]:
         """Paths that Ipopt comes to from starts; one where a plan leads to it."""
-        general = self._general(self.law.soft or (sample.dear, sample.dear))
         for path in self._starting_paths(sample, known):
-            if sample.clock.up:
-                return
-            more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
-            shot = general.near(*more, sample.size, sample.clock)
-            if shot is None:
+            near = None if sample.clock.up else self._by_ipopt(sample, path)
+            if near is None:
                 continue
-            states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
-            near = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
             at = self._past_saddles(sample, near)
             yield at
             if path.name == SHIFTED and at.last and at.solved and not at.last.relaxed:
