@@ -261,7 +261,7 @@ def test_without_limits_of_states_units_change_nothing(units):
         u = own(x, x_ref=x_ref)
         other(x * units, x_ref=np.multiply(x_ref, units))
         assert other.last_plans[0].cost == pytest.approx(own.last_plans[0].cost, rel=1e-6)
-        x = np.array(heading(ca.DM(x), ca.DM(u))).ravel() + [0.1, 0.05, -0.3]
+        x = np.array(heading(ca.DM(x), ca.DM(u))).ravel() + np.array([0.1, 0.05, -0.3])
 
 
 @pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e9])
