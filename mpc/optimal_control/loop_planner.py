@@ -152,22 +152,34 @@ class LoopPlanner:
         return clock.stamped(told_of_inputs(found, self.loop.phase.u_bounds, self.loop.rate_limit, given))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
-        """Optimum that quadratic programs lead to, or None."""
-        own = carried(before, self.stages.rows)
+        """Optimum that quadratic programs lead to, what they come to in time, or None."""
+        own, late = carried(before, self.stages.rows), before.status is Status.LATE
         first, stated = Path(before.states, before.inputs, multipliers=own), partial(self._local, x, given)
-        if first.multipliers is None:
+        if own is None and not late:
             return None
         for times in (PRICE,) if before.status is Status.SOFTENED else (1.0, PRICE):
             path = contracted(while_newton(programs(first, stated, clock, times=times)), self.most)
-            if path is None or path.last is None or not path.error <= KKT or path.last.saddle:
+            if path is None or path.last is None:
                 return None
+            if not path.error <= KKT or path.last.saddle:
+                return self._reached(path, stated) if clock.stopped else None
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
                 break
         # from elsewhere limits may be kept, which was looked at as they began to be passed, if there was time
-        late, then = before.status is Status.LATE, partial(self._local, before.states[0], given)
+        then = partial(self._local, before.states[0], given)
         known = before.status is Status.SOFTENED or (late and then(before.states, before.inputs).passed[1] > FEASIBLE)
         return found if found.status is Status.SOLVED or known else None
+
+    def _reached(self, path: Path, stated: Callable[[Array, Array], Local]) -> Plan | None:
+        """Plan after the last program in time, which the next sample goes on from; None without numbers."""
+        states, inputs = path.moved.states, path.moved.inputs
+        local, on = stated(states, inputs), path.last.multipliers if path.last else None
+        if on is None or not np.isfinite(local.cost()):
+            return None
+        residuals, nx = Residuals(path.error, local.defects, 0.0, 0.0), self.loop.phase.states
+        return Plan(np.clip(inputs, *self.loop.phase.u_bounds), states[:, :nx].copy(), local.cost(), Status.LATE,
+                    residuals, local.passed[0], 0.0, CONVERGING, on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
         """Statement at a plan of a sample."""

@@ -204,6 +204,24 @@ def test_a_time_limit_is_said():
     assert NonlinearMPC(push(), time_limit=1e-4).solve([1.0, 0.0]).status is Status.LATE
 
 
+def test_late_plans_come_to_the_optimum_from_sample_to_sample():
+    """A limit below one program: the plan begins with two iterations of Ipopt, as did every later one, for ever."""
+
+    def step(x, u):
+        return ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (4 * ca.sin(x[0]) - 0.2 * x[1] + u))
+
+    cost = lambda x: 10 * x[0] ** 2 + x[1] ** 2  # noqa: E731
+    phase = Phase(step, 2, 1, discrete=True, duration=30, u_bounds=(-6, 6), x_bounds=(-4, 4),
+                  stage_cost=lambda x, u: cost(x) + 0.1 * u**2, terminal_cost=lambda x: 10 * cost(x))  # fmt: skip
+    late, free, x = NonlinearMPC(phase, time_limit=1e-4), NonlinearMPC(phase), np.array([1.0, 0.0])
+    for _ in range(12):
+        before, x = x, np.array(step(x, late(x)[0])).ravel()
+    (plan,) = late.last_plans
+    assert plan.status is Status.LATE
+    assert plan.cost == pytest.approx(free.solve(before).cost, rel=1e-3)
+    assert abs(x[0]) < 0.5
+
+
 def test_a_solver_that_is_stopped_goes_on_at_the_next_sample():
     law, x = NonlinearMPC(push(), most_iterations=3, starts=1), np.array([1.0, 0.5])
     statuses = []
