@@ -57,7 +57,7 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
         raise stopped(argument, given, error, expected) from error
     try:
         parts = list(value) if isinstance(value, list | tuple) else [value]
-        expression = ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts))
+        expression = ca.densify(ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts)))
     except Exception as error:
         raise InputError(argument, f"one that returns {brief(repr(value))}", expected) from error
     missing = [name for name in own if not sizes[name]]
@@ -66,7 +66,9 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
         raise InputError(argument, f"{expression.numel()} rows", f"{rows}, a column ({rows}, 1)", cure)
     if not expression.numel():
         raise InputError(argument, "one that returns nothing", expected, cure)
-    named = list(columns.values()), [ca.densify(expression)], list(sizes), ["value"]
+    if rows is None and any(ca.OP_LT <= one.op() <= ca.OP_OR for one in ca.vertsplit(expression)):
+        raise InputError(argument, "a comparison", "values: limits are stated as g ≤ 0 or g = 0, such as x[0] - 1")
+    named = list(columns.values()), [expression], list(sizes), ["value"]
     function = ca.Function(argument, *named, {"allow_free": True})
     if function.has_free():
         got = f"an expression of {', '.join(function.get_free()[:5])} besides"

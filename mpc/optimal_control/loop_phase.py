@@ -29,7 +29,8 @@ class LoopPhase(Immutable):
     """Phase with inputs held over each of N = `horizon` samples.
 
     The states of its program are (x, w, the input before), where w and the input before are asked for, and its
-    parameters (p, t). Bounds of states, the terminal set and `rate_limit` are rows, which may be relaxed.
+    parameters (p, t); of a phase in time, w stands twice: at both ends of a sample. Bounds of states, the terminal set
+    and `rate_limit` are rows, which may be relaxed.
     """
 
     phase: Phase
@@ -54,6 +55,11 @@ class LoopPhase(Immutable):
         names = ("x", "u", "w", "p", "t", "u_prev", "x0", "t0")
         return any(name in wanted("phase", one, names) for one in given if one is not None)
 
+    @property
+    def nw(self) -> int:
+        """Signals of a sample: at its begin, in time at its end too."""
+        return int(self.functions.nw) * (1 if self.phase.discrete else 2)
+
     @cached_property
     def carries(self) -> bool:
         """Whether the state carries the input before."""
@@ -65,21 +71,25 @@ class LoopPhase(Immutable):
         return self.asks("t") or self.asks("t0") or callable(self.phase.signal)
 
     def signal(self, t: float) -> Array:
-        """Stated signal (N + 1, nw) from a time on."""
+        """Stated signal (N + 1, ·) of every sample from a time on."""
         first = t if callable(self.phase.signal) else self.phase.start_time
-        return signal_at(self.phase, np.asarray(first + self.dt * np.arange(self.horizon + 1)))
+        w = signal_at(self.phase, np.asarray(first + self.dt * np.arange(self.horizon + 1)))
+        return np.hstack([w, np.vstack([w[1:], w[-1:]])])[:, : self.nw]
 
     def step(self, x: Any, u: Any, w: Any, p: Any, t: Any, last: Any) -> tuple[Any, Any]:
-        """Next state and cost of one sample."""
-        f = self.functions
+        """Next state and cost of one sample, along which w is linear."""
+        f, nx = self.functions, self.phase.states
         if self.phase.discrete:
             return f.dynamics(x, u, w, p, t), f.cost_at(x, u, w, p, t, last)
 
-        def rate(x: Any, t: Any) -> Any:
-            return ca.vertcat(f.dynamics(x[:-1], u, w, p, t), f.cost_at(x[:-1], u, w, p, t, last))
+        w, end = ca.vertsplit(ca.vec(w), [0, f.nw, self.nw])
 
-        z = sampled(rate, self.dt)(ca.vertcat(x, 0), t)
-        return z[:-1], z[-1]
+        def rate(x: Any, t: Any) -> Any:
+            at = x[:nx], u, x[nx + 1 :], p, t
+            return ca.vertcat(f.dynamics(*at), f.cost_at(*at, last), (end - w) / self.dt)
+
+        z = sampled(rate, self.dt)(ca.vertcat(x, 0, w), t)
+        return z[:nx], z[nx]
 
     def states_with(self, states: Array, inputs: Array, given: Given) -> Array:
         """States (N + 1, nx + nw + nu) of a plan with its signals."""
@@ -112,7 +122,7 @@ class LoopPhase(Immutable):
         """Program without violations, whose bounds of states are rows."""
         parameters = np.append(self.p, self.phase.start_time)
         program = build(OptimalControlProblem(self._discrete, p_bounds=(parameters, parameters)))
-        part, nx, nw = program.parts[0], self.phase.states, self.functions.nw
+        part, nx, nw = program.parts[0], self.phase.states, self.nw
         numbers, _ = part.coordinates
         states, known = part.first + np.flatnonzero(numbers < part.layout.nx), part.first + np.flatnonzero(numbers < nx)
         lower, upper, scale = program.lower.copy(), program.upper.copy(), program.scale.copy()
@@ -159,7 +169,7 @@ class LoopPhase(Immutable):
     @cached_property
     def _discrete(self) -> Phase:
         """Discrete phase of states (x, w, input before) and parameters (p, t)."""
-        phase, nw, N, last = self.phase, self.functions.nw, self.horizon, [1] * self.carries
+        phase, nw, N, last = self.phase, self.nw, self.horizon, [1] * self.carries
         times = np.linspace(0, 1, N + 1)
         x, u = first_guess(phase)(times)
         sides = zip(phase.x_bounds, (-INF, INF), phase.u_bounds)
@@ -170,19 +180,22 @@ class LoopPhase(Immutable):
             x_bounds=tuple(np.concatenate([a, np.full(nw, b), *[c for _ in last]]) for a, b, c in sides),
             u_bounds=phase.u_bounds, input_names=phase.input_names,
             state_names=[*phase.state_names, *(f"w{i + 1}" for i in range(nw)), *before],
-            stage_cost=None if phase.stage_cost is None else lambda x, u, p, t: self.step(*self._at(x, u, p, t))[1],
+            stage_cost=None if phase.stage_cost is None else (
+                lambda x, u, p, t: self.step(*self._at(x, u, p, t, along=True))[1]
+            ),
             terminal_cost=None if phase.terminal_cost is None else self._terminal_cost,
             **self._along_the_way(), **self._at_the_end(),
         )  # fmt: skip
 
-    def _at(self, x: Any, u: Any, p: Any, t: Any) -> tuple[Any, ...]:
-        """Columns (x, u, w, p, t, u_prev) of the phase."""
-        nx, end = self.phase.states, self.phase.states + self.functions.nw
-        return x[:nx], u, x[nx:end], p[:-1], p[-1] + self.dt * t, x[end:] if self.carries else 0 * u
+    def _at(self, x: Any, u: Any, p: Any, t: Any, *, along: bool = False) -> tuple[Any, ...]:
+        """Columns (x, u, w, p, t, u_prev) at a sample, or along it."""
+        nx, end = self.phase.states, self.phase.states + self.nw
+        w = x[nx:end] if along else x[nx : nx + self.functions.nw]
+        return x[:nx], u, w, p[:-1], p[-1] + self.dt * t, x[end:] if self.carries else 0 * u
 
     def _dynamics(self, x: Any, u: Any, p: Any, t: Any) -> Any:
         """Next state; the signal's rows are left free."""
-        return ca.vertcat(self.step(*self._at(x, u, p, t))[0], ca.DM.zeros(self.functions.nw), *[u] * self.carries)
+        return ca.vertcat(self.step(*self._at(x, u, p, t, along=True))[0], ca.DM.zeros(self.nw), *[u] * self.carries)
 
     def _terminal_cost(self, x: Any, p: Any, t: Any) -> Any:
         """Cost of the last state."""

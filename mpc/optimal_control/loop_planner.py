@@ -104,7 +104,7 @@ class LoopPlanner:
     def model(self) -> DiscreteModel:
         """Next state of (x, u, w) and parameters (p, t)."""
         loop = self.loop
-        sizes = {"x": loop.phase.states, "u": loop.phase.inputs, "w": loop.functions.nw, "p": len(self.p) + 1}
+        sizes = {"x": loop.phase.states, "u": loop.phase.inputs, "w": loop.nw, "p": len(self.p) + 1}
         step = compiled("dynamics", lambda x, u, w, p: loop.step(x, u, w, p[:-1], p[-1], 0 * u)[0], sizes)
         return DiscreteModel(step, loop.horizon)
 
@@ -128,13 +128,14 @@ class LoopPlanner:
         if missing is not None:
             raise InputError(missing, "nothing", ASKED[missing], f"The phase depends on it: pass {missing}=….")
         t = as_number("t", given.get("t", loop.phase.start_time))
-        w = as_floats("w", given.get("w", loop.signal(t)))
-        w = np.tile(as_array("w", np.atleast_1d(w), (nw,)), (N + 1, 1)) if w.ndim <= 1 else w
-        w = np.vstack([w, w[-1:]]) if len(w) == N else w
-        return {
-            "t": np.array([t]), "u_prev": as_array("u_prev", given.get("u_prev", np.zeros(nu)), (nu,)),
-            "w": as_array("w", w, (N + 1, nw)),
-        }  # fmt: skip
+        w = loop.signal(t)
+        if "w" in given:  # held over each sample
+            w = as_floats("w", given["w"])
+            w = np.tile(as_array("w", np.atleast_1d(w), (nw,)), (N + 1, 1)) if w.ndim <= 1 else w
+            w = as_array("w", np.vstack([w, w[-1:]]) if len(w) == N else w, (N + 1, nw))
+            w = np.hstack([w, w])[:, : loop.nw]
+        u_prev = as_array("u_prev", given.get("u_prev", np.zeros(nu)), (nu,))
+        return {"t": np.array([t]), "u_prev": u_prev, "w": w}
 
     def each(self, stated: dict[str, Any], n: int) -> list[Given]:
         """Signals of n states, common or one entry for each."""
@@ -313,7 +314,7 @@ class LoopPlanner:
 
     def _sample(self, x: Array, given: Given) -> NonlinearProgram:
         """Program of one sample."""
-        program, nx, nw = self.loop.program, self.loop.phase.states, self.loop.functions.nw
+        program, nx, nw = self.loop.program, self.loop.phase.states, self.loop.nw
         part, lower, upper = program.parts[0], program.lower.copy(), program.upper.copy()
         signal = part.first + nx + part.layout.column * np.arange(self.loop.horizon + 1)[:, None] + np.arange(nw)
         first = np.concatenate([x, given["w"][0], given["u_prev"][: part.layout.nx - nx - nw]])

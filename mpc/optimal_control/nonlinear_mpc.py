@@ -273,8 +273,9 @@ class NonlinearMPC(Immutable):
     ) -> Plan:  # fmt: skip
         """Plan from the state x (nx,); the signals are those of `LinearMPC.solve`.
 
-        With a phase they are `u_prev`, `t` and `w`, (N + 1, nw), (N, nw) or (nw,), where it depends on them. It begins
-        anew: in a loop call the controller, which follows its last plan, and read `last_plans`.
+        With a phase they are `u_prev`, `t` and `w`, (N + 1, nw), (N, nw) or (nw,), where it depends on them. This
+        w is held over each sample; in continuous time the phase's own signal is linear over it. It begins anew: in a
+        loop call the controller, which follows its last plan, and read `last_plans`.
 
         Parameters
         ----------

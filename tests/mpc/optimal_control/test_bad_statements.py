@@ -49,6 +49,10 @@ GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, 
         ({"guess": 3}, "guess", "3"),
         ({"guess": ([0, 1], [[0, np.nan], [1, 0]], [[0], [0]])}, "guess", "nan at index (0, 1)"),
         ({"signal": lambda t: 1 / 0}, "signal", "ZeroDivisionError"),
+        ({"path": lambda x: x[0] < 1}, "path", "a comparison, expected values: limits are stated as g ≤ 0"),
+        ({"path": lambda x, u: ca.vertcat(x[0] - 1, u >= 2)}, "path", "such as x[0] - 1"),
+        ({"path": lambda x: ca.logic_and(x[0] < 1, x[1] < 1)}, "path", "a comparison"),
+        ({"boundary": lambda x: x[0] == 1}, "boundary", "a comparison"),
     ],
 )
 def test_a_bad_phase_is_refused_where_it_is_stated(change, argument, got):
