@@ -120,18 +120,25 @@ class DenseQP:
             return np.asarray(np.linalg.solve(self._H, -q), dtype=np.float64), np.zeros(0), 1
         model = getattr(self._workspace, "model", None)
         if model is None:
-            model = daqp.Model()
-            model.settings = self._settings
-            lower = np.full(len(b), -NO_BOUND)
-            if model.setup(self._H, q, self._G, b, lower, np.zeros(len(b), dtype=np.int32))[0] < 0:
-                return np.full(len(q), np.nan), np.zeros(len(b)), 0
-            self._workspace.model = model
+            model = self._workspace.model = self._model(q, b, self._settings)
         else:
             model.update(f=q, bupper=b)
+        if model is None:
+            return np.full(len(q), np.nan), np.zeros(len(b)), 0
         z, _, flag, info = model.solve()
         if flag not in (1, -1):  # forget a spoilt working set
             self._workspace.model = None
+        if flag == -2:  # rows that meet in one point let it go in circles, of which a larger tolerance leads out
+            again = self._model(q, b, self._settings | {"primal_tol": NEGLIGIBLE})
+            z, _, flag, info = again.solve() if again else (z, 0.0, flag, info)
         return np.asarray(z), np.asarray(info["lam"]), int(flag)
+
+    def _model(self, q: Array, b: Array, settings: dict[str, float]) -> Any:
+        """Workspace of DAQP, None where it cannot be made."""
+        model = daqp.Model()
+        model.settings = settings
+        lower, senses = np.full(len(b), -NO_BOUND), np.zeros(len(b), dtype=np.int32)
+        return None if model.setup(self._H, q, self._G, b, lower, senses)[0] < 0 else model
 
     def _clarabel(self, q: Array, b: Array) -> tuple[Array, Array, bool]:
         """Minimiser, multipliers and verdict of infeasibility of Clarabel."""

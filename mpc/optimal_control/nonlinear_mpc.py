@@ -236,12 +236,13 @@ class NonlinearMPC(Immutable):
         return tuple(self._last)
 
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
-        """Controller for other parameters p (np,), with the same model."""
+        """Controller for other parameters p (np,), with the same model, which goes on from the last plans."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
         for name in ("linear", "problem", "planner", "steady_solver"):
             other.__dict__.pop(name, None)
-        object.__setattr__(other, "p", value)
+        for name, own in (("p", value), ("_last", list(self._last))):
+            object.__setattr__(other, name, own)
         _ = other.planner
         return other
 

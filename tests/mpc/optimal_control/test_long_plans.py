@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mpc import Status
-from mpc.optimal_control import NonlinearMPC
+from mpc.optimal_control import NonlinearMPC, Phase
 
 
 def pendulum(x, u):
@@ -100,3 +100,33 @@ def test_plan_that_the_model_leaves_through_rounding_is_not_solved():
     )
     assert solver.stats()["success"]
     assert plan.status is not Status.SOLVED or plan.cost <= float(found["f"]) * (1 + 1e-5)
+
+
+@pytest.mark.check
+def test_a_rod_whose_inputs_hardly_pay_is_followed_by_programs():
+    """Bounds that meet in one point let programs go in circles: every second sample was Ipopt's, 40 times as long."""
+    n = 40
+
+    def rate(x, u):
+        flow = ca.vertcat(0, x[1:] - x[:-1], 0)
+        heat = 0.2 * ca.vertcat(u[0], ca.DM.zeros(n - 2), u[1])
+        return 0.4 * (flow[1:] - flow[:-1]) + heat - 2e-11 * ((x + 300) ** 4 - 300**4)
+
+    def step(x, u):
+        a = rate(x, u)
+        b = rate(x + 0.25 * a, u)
+        c = rate(x + 0.25 * b, u)
+        return x + (a + 2 * b + 2 * c + rate(x + 0.5 * c, u)) / 12
+
+    phase = Phase(
+        step, n, 2, discrete=True, duration=50, x_bounds=(-50, 400), u_bounds=([0, 0], [200, 60]),
+        stage_cost=lambda x, u: 1e-3 * (x[n // 2] - 120) ** 2 + 1e-3 * ca.sumsqr(u) + 1e-6 * ca.sumsqr(x),
+    )  # fmt: skip
+    controller, x = NonlinearMPC(phase, starts=1), np.zeros(n)
+    solvers = []
+    for _ in range(4):
+        controller(x)
+        (plan,) = controller.last_plans
+        x = np.array(step(ca.DM(x), ca.DM(plan.inputs[0]))).ravel()
+        solvers.append(plan.solver)
+    assert solvers == ["Ipopt", "SQP", "SQP", "SQP"]
