@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -115,9 +115,12 @@ def resolved(slopes: Array) -> Resolved:
     return Resolved(parts - nothing @ (nothing.T @ parts), nothing, of_nothing)
 
 
-def information(solution: Solution, residual: ca.Function, p_size: Array) -> Information:
+def information(solution: Solution, residual: ca.Function, p_size: Array,
+                measured: int | None) -> tuple[Information, Information]:  # fmt: skip
     """Information at the optimum, by the linearised dynamics.
 
+    First along limits that the noise does not explain, then along all that are reached. Noise that is not known has the
+    variance that `measured` values leave.
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
     the unknowns themselves count. Time and memory grow in proportion to the mesh.
 
@@ -141,15 +144,17 @@ def information(solution: Solution, residual: ca.Function, p_size: Array) -> Inf
     roots = [np.asarray(np.linalg.qr(course.residuals, mode="r")) for course in courses]
     slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
     spread = resolved(slopes).parts
-    held = [_held(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread)]
+    noise = 1.0 if measured is None else 2 * solution.cost / (measured - spread.shape[1])
+    ends = [_ended(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread, noise)]
     for part, course, at in zip(program.parts, courses, own_columns):
         if not part.layout.nu:
-            held.append(_held(solution, course.places, course.moves, at, in_units, spread))
-    acting = np.vstack(held)[:, free]
-    directions = null_space(acting, rcond=NEGLIGIBLE) if len(acting) else np.eye(int(free.sum()))
+            ends.append(_ended(solution, course.places, course.moves, at, in_units, spread, noise))
+    reached, holds = (np.concatenate(one) for one in zip(*ends))
+    directions, still = (null_space(rows[:, free], rcond=NEGLIGIBLE) for rows in (reached[holds], reached))
     chosen = unknowns[free]
     names = _names(program, chosen, firsts)
-    return Information(chosen, names, v[chosen], units[free], directions, slopes[:, free])
+    known = Information(chosen, names, v[chosen], units[free], directions, slopes[:, free])
+    return known, replace(known, directions=still)
 
 
 def _placed(rows: Array, at: NDArray[np.int64], in_units: Array) -> Array:
@@ -159,15 +164,21 @@ def _placed(rows: Array, at: NDArray[np.int64], in_units: Array) -> Array:
     return found
 
 
-def _held(solution: Solution, places: NDArray[np.int64], moves: Array, at: NDArray[np.int64], in_units: Array,
-          spread: Array) -> Array:  # fmt: skip
-    """Moves (k, m) of places that would go further without bounds."""
+def _ended(solution: Solution, places: NDArray[np.int64], moves: Array, at: NDArray[np.int64], in_units: Array,
+           spread: Array, noise: float) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
+    """Moves (k, m) of places that bounds stop, and which these hold.
+
+    These would cost more than noise of a variance explains, over their deviation or, if that is larger, their size.
+    """
     program, push = solution.program, solution.multipliers["bounds"][places]
     low, high, v = program.lower[places], program.upper[places], solution.unknowns[places]
     size = program.scale[places]
-    room = np.where(push > 0, high - v, v - low) / size
-    variance = np.square((moves * in_units[at]) @ spread[at]).sum(axis=1)
-    return _placed(moves[(low < high) & (np.abs(push) * size * variance > room)], at, in_units)
+    room, push = np.where(push > 0, high - v, v - low) / size, np.abs(push) * size
+    deviation = np.linalg.norm((moves * in_units[at]) @ spread[at], axis=1)
+    reach = TOLD * np.linalg.norm(moves * in_units[at], axis=1)
+    holds = (push * deviation > np.sqrt(noise)) & (push * reach > noise)
+    reached = (low < high) & (push * deviation**2 > room)
+    return _placed(moves[reached], at, in_units), holds[reached]
 
 
 class _Course(NamedTuple):

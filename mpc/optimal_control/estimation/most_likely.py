@@ -21,13 +21,13 @@ from mpc.tolerances import NEAR_OPTIMUM
 
 
 def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: Array, options: dict[str, Any],
-                clock: Clock) -> tuple[Solution, Information | None]:  # fmt: skip
+                clock: Clock, measured: int | None) -> tuple[Solution, Information | None]:  # fmt: skip
     """Most likely solution, and what its data tell, sought in time.
 
     Beside a disturbance that of the parameters alone, by Newton's method: what the joint likelihood lacks enters as a
     cost of p. Where that curves downwards nothing is found.
     """
-    solves = _Solves(residual, p_size, options, clock)
+    solves = _Solves(residual, p_size, options, clock, measured)
     solution, known = solves.minimum(problem)
     if not (problem.phases[0].inputs and problem.parameters):
         return solution, known
@@ -48,11 +48,13 @@ def most_likely(problem: OptimalControlProblem, residual: ca.Function, p_size: A
 class _Solves:
     """Solves within one time limit."""
 
-    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any], clock: Clock) -> None:
+    def __init__(self, residual: ca.Function, p_size: Array, options: dict[str, Any], clock: Clock,
+                 measured: int | None) -> None:  # fmt: skip
         self.residual = residual
         self.p_size = p_size
         self.options = {"intervals": 1} | options
         self.clock = clock
+        self.measured = measured
 
     def minimum(self, problem: OptimalControlProblem, **own: Any) -> tuple[Solution, Information | None]:
         """Solution that no direction leads down from, and what data tell."""
@@ -70,8 +72,8 @@ class _Solves:
         """What data tell of an optimum, and a move (n,) down from it."""
         if not solution.solved_on_mesh:
             return None, None
-        known = information(solution, self.residual, self.p_size)
-        return known, downhill(solution, known)
+        known, reached = information(solution, self.residual, self.p_size, self.measured)
+        return known, downhill(solution, reached)
 
     def _refined(self, problem: OptimalControlProblem, options: dict[str, Any]) -> Solution:
         """Solution on a mesh that is refined, in the time left."""

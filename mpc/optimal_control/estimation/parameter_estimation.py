@@ -111,8 +111,8 @@ def estimate_parameters(
         problem = OptimalControlProblem(
             phases, p_bounds=bounds, p_guess=guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
         )
-        _check_count(problem, given, 0 if unit is None else 1)
-        solution, known = most_likely(problem, residual, size, options, clock)
+        measured = _checked_count(problem, given, 0 if unit is None else 1)
+        solution, known = most_likely(problem, residual, size, options, clock, None if unit is None else measured)
         return estimate_of(solution, given, h, known, unit)
 
     if noise is not None:
@@ -201,8 +201,8 @@ def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Arra
     return interpolated(times, times[seen], x[seen])
 
 
-def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment], of_noise: int) -> None:
-    """Raise where more is unknown than was measured."""
+def _checked_count(problem: OptimalControlProblem, given: Sequence[Experiment], of_noise: int) -> int:
+    """Number of measured values, if no more is unknown."""
     low, high = problem.p_bounds
     p = int((low < high).sum())
     starts = sum(int((phase.start[0] < phase.start[1]).sum()) for phase in problem.phases)
@@ -211,3 +211,4 @@ def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment], of
         cure = "Measure more, give `noise`, or give parameters or starts: equal bounds hold them."
         got = f"{p} parameters, {starts} first states{' and the noise' * of_noise} from {values} measured values"
         raise InputError("experiments", got, "at least as many values as unknowns", cure)
+    return values
