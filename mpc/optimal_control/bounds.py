@@ -10,6 +10,7 @@ from ccdtools_ground import door
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
+from mpc.tolerances import ROUNDED_SUM
 
 Bounds = Any
 INF = np.inf
@@ -57,6 +58,13 @@ def as_prices(value: Any, size: int) -> Array:
     if (given[~hard] < 0).any() or (given == 0).all(axis=0).any() or (hard[0] != hard[1]).any():
         raise InputError("path_prices", brief(repr(value)), expected)
     return np.where(hard, INF, given)
+
+
+def check_within(name: str, value: Array, limits: str, within: tuple[Array, Array]) -> None:
+    """Raise where numbers are beyond their limits, by more than rounding."""
+    low, high = within
+    if (np.maximum(low - value, value - high) > ROUNDED_SUM * np.abs(value)).any():
+        raise InputError(name, value, f"one within {limits}, {low} to {high}")
 
 
 def as_end(name: str, value: Any, within: tuple[Array, Array]) -> tuple[Array, Array]:

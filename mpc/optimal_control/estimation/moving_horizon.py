@@ -15,11 +15,10 @@ from ccdtools_ground.door import as_share, brief
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_bounds
+from mpc.optimal_control.bounds import as_bounds, check_within
 from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
 from mpc.optimal_control.estimation.window import NoisyModel, Window, WindowProgram
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
-from mpc.tolerances import ROUNDED_SUM
 
 
 class WindowStatus(Outcome):
@@ -153,9 +152,7 @@ class MovingHorizonEstimator:
         for name, size in (("x_bounds", nx), ("w_bounds", len(self.W)), ("p_bounds", count)):
             set_(self, name, as_bounds(name, getattr(self, name), size))
         for name, limits in (("x0", "x_bounds"), ("p", "p_bounds")):
-            first, (low, high) = getattr(self, name), getattr(self, limits)
-            if (np.maximum(low - first, first - high) > ROUNDED_SUM * np.abs(first)).any():
-                raise InputError(name, first, f"one within {limits}, {low} to {high}")
+            check_within(name, getattr(self, name), limits, getattr(self, limits))
         set_(self, "tolerance", as_share("tolerance", self.tolerance))
         _ = self.model
 

@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools_ground.door import as_weight
+from ccdtools_ground.door import as_choice, as_weight
 from mpc.budgets import ASIDE, GUESSED_STEPS
 from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
+from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, check_within, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
 from mpc.optimal_control.estimation.most_likely import most_likely
 from mpc.optimal_control.estimation.parameter_estimate import EstimationStatus, ParameterEstimate, estimate_of
@@ -21,6 +21,8 @@ from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.planning import Clock
 from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.refinement import refine
+from mpc.optimal_control.solving import solve
 from mpc.tolerances import NEGLIGIBLE, SUPPOSED_NOISE
 
 
@@ -71,7 +73,7 @@ def estimate_parameters(
     Raises
     ------
     InputError
-        If functions or sizes cannot be meant, or more is unknown than was measured.
+        If functions or sizes cannot be meant, a guess is beyond its bounds, or more is unknown than was measured.
 
     References
     ----------
@@ -80,6 +82,8 @@ def estimate_parameters(
     al., "TMB: automatic differentiation and Laplace approximation", Journal of Statistical Software 70, 2016.
     """
     clock = Clock(as_seconds("time_limit", options.get("time_limit")))
+    for name in options:
+        as_choice("options", name, sorted({"scheme", *refine.__kwdefaults__, *solve.__kwdefaults__}))
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
@@ -96,6 +100,8 @@ def estimate_parameters(
     value = ca.densify(ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny]))
     residual = ca.Function("residual", [*s.values(), y], [value], ["x", "w", "p", "t", "y"], ["value"])
     low, high = bounds
+    if p_guess is not None:
+        check_within("p_guess", as_array("p_guess", p_guess, low.shape), "p_bounds", bounds)
     size = np.clip(np.nan_to_num(middle(low, high)) if p_guess is None else as_array("p_guess", p_guess, low.shape),
                    low, high)  # fmt: skip
     aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, len(low)) * np.where(np.isfinite(high - low), high - low, 0)
@@ -140,6 +146,8 @@ def _spread(given: Sequence[Experiment]) -> float:
 def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:
     """Covariance (size, size), checked, also from variances (size,)."""
     given = np.atleast_1d(as_floats(name, value))
+    if given.ndim == 1 and (given < 0).any():
+        raise InputError(name, given, f"variances {'≥' if singular else '>'} 0")
     full = as_weight(name, np.diag(given) if given.ndim == 1 else given, size)
     if singular:
         return full

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 from mpc import InputError
-from mpc.optimal_control.estimation import Experiment, estimate_parameters
+from mpc.optimal_control.estimation import EstimationStatus, Experiment, estimate_parameters
 
 TIMES = np.linspace(0, 4, 21)
 CONSTANT = {"dynamics": lambda x: 0 * x, "states": 1}
@@ -60,6 +60,67 @@ def test_maxima_of_several_parameters_are_left_at_once():
     )  # fmt: skip
     assert found.solved
     np.testing.assert_allclose(np.abs(found.p), [1.3, 0.7], atol=0.05)
+
+
+def bent(*, beyond, deviation, apart=1e-3):
+    """Log of a nearly straight course, whose unbounded fit has p2 = 0.5 - `beyond` deviations, each that large."""
+    slopes = np.column_stack([TIMES, TIMES**2])
+    noise = np.random.default_rng(0).normal(size=21)
+    noise -= slopes @ np.linalg.lstsq(slopes, noise, rcond=None)[0]
+    of_bend = np.sqrt(np.linalg.inv(slopes.T @ slopes)[1, 1]) * 2 / apart
+    size, p2 = deviation / of_bend, 0.5 - beyond * deviation
+    return slopes @ [2, apart * p2 / 2] + noise * size * np.sqrt(19) / np.linalg.norm(noise), size
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("beyond", [-0.01, 0.5, 2.0])
+def test_no_bound_tells_what_data_leave_open(beyond, unit, known):
+    """Inside their bounds or at one that hardly pushes, such parameters were SOLVED with intervals of no width."""
+    y, size = bent(beyond=beyond, deviation=100.0)
+    found = estimate_parameters(
+        Experiment(TIMES, unit * y, start=[0.0]), lambda p, t: unit * (p[0] + (1 + 1e-3 * t) * p[1]), lambda x: x,
+        states=1, p_bounds=([-50, 0.5], [50, 9]), p_guess=[1, 1], noise=[(unit * size) ** 2] if known else None,
+    )  # fmt: skip
+    assert found.status is EstimationStatus.OPEN
+    assert (found.deviations > 50).all()
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("limit", ["p_bounds", "x_bounds"])
+def test_a_limit_holds_a_parameter_where_it_pushes_by_more_than_the_noise_explains(limit, unit, known):
+    rng, slope = np.random.default_rng(1), np.linalg.norm(TIMES)
+    noise = 0.1 * rng.normal(size=21)
+    best, spread = 2 + TIMES @ noise / slope**2, 0.1 / slope
+    for beyond, holds in ((0.5, False), (3.0, True)):
+        most = best - beyond * spread
+        found = estimate_parameters(
+            Experiment(TIMES, unit * (2 * TIMES + noise), start=[0.0]), lambda p: unit * p, lambda x: x, states=1,
+            noise=[(0.1 * unit) ** 2] if known else None,
+            **{"p_bounds": ([0], [9])} | {limit: ([0], [most if limit == "p_bounds" else 4 * unit * most])},
+        )  # fmt: skip
+        assert found.solved
+        np.testing.assert_allclose(found.p, most, rtol=1e-6)
+        expected = 0.0 if holds else spread if known else 10 * spread * np.sqrt(found.residual_variance) / unit
+        np.testing.assert_allclose(found.deviations, expected, rtol=1e-4, atol=1e-12)
+
+
+def test_growth_on_a_substrate_leaves_open_what_it_hardly_depends_on():
+    """All deviations were 0 in 11 of 20 such logs, of parameters inside their bounds."""
+    t = np.linspace(0, 4, 9)
+    y = 100 * np.exp(0.39 * t) + 2 * np.random.default_rng(1).normal(size=9)
+
+    def rates(x, p):
+        growth = p[0] * x[1] / (p[1] + x[1]) * x[0]
+        return ca.vertcat(growth, -growth / p[2])
+
+    found = estimate_parameters(
+        Experiment(t, y, start=[0.1, 50.0]), rates, lambda x: 1000 * x[0], states=2,
+        p_bounds=([0.05, 0.05, 0.1], [2, 9, 1]), noise=[4.0],
+    )  # fmt: skip
+    assert found.status is EstimationStatus.OPEN
+    assert (found.deviations > 1e-3).all()
 
 
 @pytest.mark.parametrize("guess", [None, [1, 1e-6], [1, 100.0], [1, 1e6]])
