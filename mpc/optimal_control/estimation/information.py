@@ -145,11 +145,11 @@ def information(solution: Solution, residual: ca.Function, p_size: Array,
     slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
     spread = resolved(slopes).parts
     noise = 1.0 if measured is None else 2 * solution.cost / (measured - spread.shape[1])
-    ends = [_ended(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread, noise)]
+    stops = [_stopped(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread, noise)]
     for part, course, at in zip(program.parts, courses, own_columns):
         if not part.layout.nu:
-            ends.append(_ended(solution, course.places, course.moves, at, in_units, spread, noise))
-    reached, holds = (np.concatenate(one) for one in zip(*ends))
+            stops.append(_stopped(solution, course.places, course.moves, at, in_units, spread, noise))
+    reached, holds = (np.concatenate(one) for one in zip(*stops))
     directions, still = (null_space(rows[:, free], rcond=NEGLIGIBLE) for rows in (reached[holds], reached))
     chosen = unknowns[free]
     names = _names(program, chosen, firsts)
@@ -164,8 +164,8 @@ def _placed(rows: Array, at: NDArray[np.int64], in_units: Array) -> Array:
     return found
 
 
-def _ended(solution: Solution, places: NDArray[np.int64], moves: Array, at: NDArray[np.int64], in_units: Array,
-           spread: Array, noise: float) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
+def _stopped(solution: Solution, places: NDArray[np.int64], moves: Array, at: NDArray[np.int64], in_units: Array,
+             spread: Array, noise: float) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
     """Moves (k, m) of places that bounds stop, and which these hold.
 
     These would cost more than noise of a variance explains, over their deviation or, if that is larger, their size.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from inspect import signature
 from typing import Any
 
 import casadi as ca
@@ -82,8 +83,9 @@ def estimate_parameters(
     al., "TMB: automatic differentiation and Laplace approximation", Journal of Statistical Software 70, 2016.
     """
     clock = Clock(as_seconds("time_limit", options.get("time_limit")))
+    known = {**signature(solve).parameters, **signature(refine).parameters}
     for name in options:
-        as_choice("options", name, sorted({"scheme", *refine.__kwdefaults__, *solve.__kwdefaults__}))
+        as_choice("options", name, [one for one, of in known.items() if of.default is not of.empty])
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)

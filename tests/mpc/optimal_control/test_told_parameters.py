@@ -74,7 +74,7 @@ def bent(*, beyond, deviation, apart=1e-3):
 
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("beyond", [-0.01, 0.5, 2.0])
+@pytest.mark.parametrize("beyond", [1e-3, 0.5, 2.0])
 def test_no_bound_tells_what_data_leave_open(beyond, unit, known):
     """Inside their bounds or at one that hardly pushes, such parameters were SOLVED with intervals of no width."""
     y, size = bent(beyond=beyond, deviation=100.0)
@@ -104,6 +104,17 @@ def test_a_limit_holds_a_parameter_where_it_pushes_by_more_than_the_noise_explai
         np.testing.assert_allclose(found.p, most, rtol=1e-6)
         expected = 0.0 if holds else spread if known else 10 * spread * np.sqrt(found.residual_variance) / unit
         np.testing.assert_allclose(found.deviations, expected, rtol=1e-4, atol=1e-12)
+
+
+def test_a_bound_that_hardly_pushes_is_no_saddle_where_the_cost_curves_downwards():
+    t, y = [0, 0.201, 0.676, 0.7, 1.779, 2.846, 2.859, 3.457], [np.nan, 4.832, 4.594, 4.444, 4.022, 3.405, 3.337, 2.956]
+    found = estimate_parameters(
+        Experiment(t, y, start=[5.0]), lambda x, p: -p[0] * x / (p[1] + x), lambda x: x, states=1,
+        p_bounds=([0.953, 5.35], [2.854, 36.8]), noise=[0.003],
+    )  # fmt: skip
+    assert found.solved
+    np.testing.assert_allclose(found.p[1], 5.35, rtol=1e-5)
+    assert (found.deviations > 0.1 * found.p).all()
 
 
 def test_growth_on_a_substrate_leaves_open_what_it_hardly_depends_on():
