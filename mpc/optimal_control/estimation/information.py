@@ -119,8 +119,8 @@ def information(solution: Solution, residual: ca.Function, p_size: Array,
                 measured: int | None) -> tuple[Information, Information]:  # fmt: skip
     """Information at the optimum, by the linearised dynamics.
 
-    First along limits that the noise does not explain, then along all that are reached. Noise that is not known has the
-    variance that `measured` values leave.
+    First along limits that hold, then along all that are reached. Noise that is not known has the variance that as many
+    `measured` values leave.
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
     the unknowns themselves count. Time and memory grow in proportion to the mesh.
 
@@ -168,7 +168,7 @@ def _stopped(solution: Solution, places: NDArray[np.int64], moves: Array, at: ND
              spread: Array, noise: float) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
     """Moves (k, m) of places that bounds stop, and which these hold.
 
-    These would cost more than noise of a variance explains, over their deviation or, if that is larger, their size.
+    These push by more than noise of a variance explains, over a deviation of their place and over its size.
     """
     program, push = solution.program, solution.multipliers["bounds"][places]
     low, high, v = program.lower[places], program.upper[places], solution.unknowns[places]

@@ -52,8 +52,8 @@ class ParameterEstimate:
         Trajectories, one phase an experiment, with the solver's own status; its cost is that of a supposed noise where
         none was given, and beside a disturbance has in it what the likelihood of p adds.
     covariance : (np, np) array
-        Of p, along the constraints that act, by the linearised residuals, or the likelihood beside a disturbance: 0 for
-        what is held, infinite variances where the data tell nothing; NaN if UNSOLVED.
+        Of p, by the linearised residuals, or the likelihood beside a disturbance, along constraints that push by more
+        than the noise explains: 0 for what is held, infinite variances where the data tell nothing; NaN if UNSOLVED.
     start_deviations : (experiments, nx) array
         Standard deviations of the first states.
     residuals : tuple of (n, ny) arrays
