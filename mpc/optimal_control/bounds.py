@@ -18,7 +18,7 @@ RISING = "rising fractions of the duration, from 0 to 1"
 
 
 def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False) -> tuple[Array, Array]:
-    """Bounds (lower, upper), each (size,), infinite where None or beyond 1e19; without a size they tell it."""
+    """Bounds (lower, upper), each (size,), infinite where None or, apart, beyond 1e19; without a size they tell it."""
     if value is None:
         return np.full(size or 0, -INF), np.full(size or 0, INF)
     value = tuple(value) if isinstance(value, np.ndarray) else value
@@ -34,8 +34,9 @@ def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False
             array = np.full(size, float(array))
         if array.shape != (size,) or np.isnan(array).any():
             raise InputError(f"{name}, {side}", brief(repr(given)), f"a number, or {size} of them")
-        sides.append(np.where(np.abs(array) >= 1e19, np.copysign(INF, array), array))  # as Ipopt has it
-    low, high = sides
+        sides.append(array)
+    apart = sides[0] != sides[1]  # as Ipopt has it
+    low, high = (np.where(apart & (np.abs(one) >= 1e19), np.copysign(INF, one), one) for one in sides)
     wrong = np.flatnonzero(((low > high) | (low == INF) | (high == -INF)) & (not crossing))
     if len(wrong):
         i = int(wrong[0])

@@ -11,6 +11,7 @@ import numpy as np
 
 from mpc.checks import Array, Flags
 from mpc.optimal_control.condensing import pulled
+from mpc.tolerances import RUNAWAY, WELL_SIZED
 
 Along = tuple[Array, Array, Array, Array, Array]
 
@@ -130,8 +131,9 @@ class Local:
 
     @cached_property
     def defects(self) -> float:
-        """Largest gap in the plan, in sizes of states."""
-        return max(largest(part / self.sizes[0]) for part in self.about[2:])
+        """Largest gap in the plan, in what its states move; where that is rounding, in the least that is none."""
+        moves, values = np.ptp(self.states, axis=0), np.maximum(self.sizes[0], np.abs(self.states).max(axis=0))
+        return max(largest(part / np.maximum(moves, WELL_SIZED * values / RUNAWAY)) for part in self.about[2:])
 
     @property
     def force(self) -> float:

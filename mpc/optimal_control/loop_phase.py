@@ -127,19 +127,26 @@ class LoopPhase(Immutable):
         states, known = part.first + np.flatnonzero(numbers < part.layout.nx), part.first + np.flatnonzero(numbers < nx)
         lower, upper, scale = program.lower.copy(), program.upper.copy(), program.scale.copy()
         lower[states], upper[states] = -INF, INF
-        if self.sizes is not None:
+        if self.sizes is None:
+            scale = self.scale(program, self.phase.u_bounds)
+        else:
             scale[known] = self.sizes[numbers[known - part.first]]
-        else:  # bounds that nothing reaches tell no size
-            guess = None if self.phase.guess is None else part.phase.guess
-            loose = replace(part.phase, x_bounds=(-INF, INF), start=None, end=None, guess=guess)
-            moved = phase_unknowns(loose, part.functions, parameters, part.layout, part.mesh)[3][known - part.first]
-            scale[known] = np.where(scale[known] > WELL_SIZED * moved, moved, scale[known])
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)
         free[part.path][: len(part.functions.path_names)] = ~self.counting(part)[0]
         row_lower, row_upper = np.where(free, -INF, program.row_lower), np.where(free, INF, program.row_upper)
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
+
+    def scale(self, program: NonlinearProgram, u_bounds: tuple[Array, Array]) -> Array:
+        """Sizes of unknowns (n,): bounds that no inputs within theirs reach tell none."""
+        part, found = program.parts[0], program.scale.copy()
+        guess = None if self.phase.guess is None else part.phase.guess
+        loose = replace(part.phase, x_bounds=(-INF, INF), u_bounds=u_bounds, start=None, end=None, guess=guess)
+        parameters, own = program.lower[program.parameters], found[part.first : part.last]
+        moved = phase_unknowns(loose, part.functions, parameters, part.layout, part.mesh)[3]
+        own[:] = np.where(own > WELL_SIZED * moved, moved, own)
+        return found
 
     def of(self, part: PhasePart, name: str) -> Flags:
         """Whether each path row depends on "u" or "x"."""

@@ -28,7 +28,7 @@ from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE, WELL_SIZED
+from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, NEGLIGIBLE, SOLVERS, VIOLATION_PRICE as PRICE, WELL_SIZED
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -210,15 +210,15 @@ class LoopPlanner:
 
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
-        program = self._sample(x, given)
+        program = self._sized(x, given)
         run = Run(program, self.settings, clock)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
         if before is not None:
-            v = self._unknowns(program, before.states, self._aside(before.inputs), given)
+            v = self._unknowns(program, before.states, self._aside(before.inputs, program), given)
             tried.append(solved(v, PRICE**2))
         if not tried or not (tried[0].sure or clock.up):
-            guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given))
+            guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given, program))
             own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
             tried += until_most_agree(own, self.starts, lambda one: one.sure)
             least = min(tried, key=lambda one: one.rank)
@@ -286,23 +286,22 @@ class LoopPlanner:
         nodes, own, _, _ = self.loop.program.parts[0].unknowns(v)
         return finite(nodes[: self.loop.phase.states].T.copy()), own.T.copy()
 
-    def _aside(self, inputs: Array) -> Array:
+    def _aside(self, inputs: Array, program: NonlinearProgram) -> Array:
         """Inputs (N, nu) that break symmetries, within their bounds."""
-        return np.clip(aside(inputs, self._input_sizes), *self.loop.phase.u_bounds)
+        return np.clip(aside(inputs, self._input_sizes(program)), *self.loop.phase.u_bounds)
 
-    @property
-    def _input_sizes(self) -> Array:
+    def _input_sizes(self, program: NonlinearProgram) -> Array:
         """Sizes (nu,) of inputs."""
-        part = self.loop.program.parts[0]
-        return np.asarray(self.loop.program.scale[part.first + part.layout.nx :][: self.loop.phase.inputs])
+        part = program.parts[0]
+        return np.asarray(program.scale[part.first + part.layout.nx :][: self.loop.phase.inputs])
 
-    def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
+    def _guesses(self, x: Array, given: Given, program: NonlinearProgram) -> Iterator[tuple[Array, Array]]:
         """States and inputs of the starts: the phase's guess, else the state held; straight to its end; by chance."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
-        size, middle = self._input_sizes, np.clip(inputs[0], *phase.u_bounds)
+        size, middle = self._input_sizes(program), np.clip(inputs[0], *phase.u_bounds)
         box = np.maximum(phase.u_bounds[0], middle - size), np.minimum(phase.u_bounds[1], middle + size)
-        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs[:-1])
+        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs[:-1], program)
         return islice(beginnings(first, x, states[-1], lambda u: self._led_to(x, u, given), rng, box), self.starts)
 
     def _led_to(self, x: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
@@ -323,6 +322,19 @@ class LoopPlanner:
             bounds[part.first : part.first + len(first)] = first
             bounds[program.parameters] = np.concatenate([self.p, given["t"]])
         return replace(program, lower=lower, upper=upper, guess=np.clip(program.guess, lower, upper))
+
+    def _sized(self, x: Array, given: Given) -> NonlinearProgram:
+        """Program of one sample, of sizes that loose bounds do not tell.
+
+        Beside the cost of inputs of such a size that of its guess, moved by what it passes limits, is not negligible.
+        """
+        program, inputs = self._sample(x, given), first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon))[1]
+        told, at = self._input_sizes(program), partial(self._local, x, given, self._led_to(x, inputs, given)[0])
+        size, cost = told.copy(), abs(at(inputs + at(inputs).passed[1] * told).cost())
+        for i, one in enumerate(np.eye(len(size))):
+            while NEGLIGIBLE * at(inputs + size * one).cost() > cost and size[i] > NEGLIGIBLE * told[i]:
+                size[i] /= WELL_SIZED
+        return program if (size == told).all() else replace(program, scale=self.loop.scale(program, (-size, size)))
 
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
         """Unknowns of a plan, without violations."""

@@ -148,3 +148,85 @@ def test_a_plan_of_a_phase_in_a_loop_is_the_same_far_from_zero_and_in_loose_boun
     plan = NonlinearMPC(phase).solve([offset + 0.5, 0.5])
     assert plan.status.name == "SOLVED"
     assert plan.cost == pytest.approx(1.4980308, rel=1e-6)
+
+
+def runge_kutta(rate, x, h):
+    a = rate(x)
+    b = rate(x + h / 2 * a)
+    c = rate(x + h / 2 * b)
+    return x + h / 6 * (a + 2 * b + 2 * c + rate(x + h * c))
+
+
+def unicycle(x, u):
+    return runge_kutta(lambda z: V(u[0] * ca.cos(z[2]), u[0] * ca.sin(z[2]), u[1]), x, 0.1)
+
+
+def turning(x, u):
+    return V(x[0] + 0.5 * u[0], x[1] + 0.5 * ca.sin(u[1]))
+
+
+def lagged(a, b, c):
+    return lambda x, u: runge_kutta(
+        lambda z: V(z[1], a * z[0] - z[0] ** 3 - b * z[1] + z[2], 3 * (c * u - z[2])), x, 0.1
+    )
+
+
+LOOSE = {
+    "unicycle": (
+        unicycle, lambda x, u: ca.sumsqr(x[:2]) + 0.01 * x[2] ** 2 + 0.1 * ca.sumsqr(u), [0, 1, 0], 2, 20, 11.455638,
+    ),
+    "well": (lagged(1, 0.2, 1), lambda x, u: (x[0] ** 2 - 1) ** 2 + 0.1 * u**2, [0, 0, 0], 1, 20, 13.484643),
+    "deep well": (
+        lagged(2.5064, 0.81044, 2.0051), lambda x, u: 0.7609 * (x[0] ** 2 - 1) ** 2 + 0.81044 * u**2, [0, 0, 0], 1, 9,
+        6.8481,
+    ),
+    "turning": (
+        turning, lambda x, u: -0.5 * x[0] ** 2 + 0.1 * x[0] ** 4 + ca.exp(x[1]) - x[1] + ca.sumsqr(u), [0, 0.5], 2, 20,
+        11.599565,
+    ),
+    "at rest": (
+        lambda x, u: runge_kutta(lambda z: V(z[1], 5 * ca.sin(z[0]) + u), x, 0.1),
+        lambda x, u: ca.sumsqr(x) + 0.1 * u**2, [0, 0], 1, 20, 0.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("loose", [10, 1e5, 1e7, 1e8])
+@pytest.mark.parametrize("case", LOOSE)
+def test_loose_bounds_of_inputs_that_cost_something_change_no_plan_of_a_loop(case, loose):
+    step, price, x, inputs, N, best = LOOSE[case]
+    law = NonlinearMPC(
+        Phase(step, len(x), inputs, discrete=True, duration=N, u_bounds=(-loose, loose), stage_cost=price)
+    )
+    plan = law.solve(x)
+    assert plan.status.name == "SOLVED"
+    assert plan.cost == pytest.approx(best, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("loose", [1, 1e8])
+def test_a_plan_in_loose_bounds_costs_what_its_inputs_cost_after_a_kick(loose):
+    def price(x, u):
+        return x[0] ** 2 + 0.1 * x[0] ** 4 + ca.exp(x[1]) - x[1] + ca.sumsqr(u)
+
+    law = NonlinearMPC(Phase(turning, 2, 2, discrete=True, duration=20, u_bounds=(-loose, loose), stage_cost=price))
+    for x in ([0.0, 0.5], [0.0, 1.0]):
+        law(x)
+        plan, z, cost = law.last_plans[0], ca.DM(x), 0.0
+        for u in plan.inputs:
+            cost, z = cost + float(price(z, ca.DM(u))), turning(z, ca.DM(u))
+        assert plan.status.name == "SOLVED"
+        assert plan.cost == pytest.approx(cost, rel=1e-6)
+
+
+@pytest.mark.parametrize(("weight", "most"), [(1e6, 1e7), (1e9, 1e6), (1e20, 1e6)])
+def test_weights_in_small_units_beside_loose_limits_of_inputs_have_the_plan_of_others(weight, most):
+    def plan(weight, most):
+        law = NonlinearMPC(
+            lambda x, u: V(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sin(x[0]))), 2, 1, Q=[weight] * 2, R=weight,
+            horizon=10, U=(-most, most),
+        )  # fmt: skip
+        return law.solve([1, 0])
+
+    found, best = plan(weight, most), plan(1, 10)
+    assert found.status.name == "SOLVED"
+    assert found.cost == pytest.approx(weight * best.cost, rel=1e-8)
