@@ -19,10 +19,9 @@ from ccdtools.co_design.methods.simultaneous import Simultaneous as Simultaneous
 from ccdtools.co_design.multi_start import multi_start as multi_start
 from ccdtools.co_design.objective import QuadraticObjective as QuadraticObjective
 from ccdtools.co_design.optimum_sensitivity import optimum_sensitivity as optimum_sensitivity
-from ccdtools.co_design.problem import CoDesignProblem as CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem as CoDesignProblem, FixedStart as FixedStart
 from ccdtools.co_design.random_starts import RandomStarts as RandomStarts
 from ccdtools.co_design.risk import CVaR as CVaR, Mean as Mean, MeanSpread as MeanSpread, WorstCase as WorstCase
-from ccdtools.co_design.scenarios import FixedStart as FixedStart
 from ccdtools.co_design.trade_off import trade_off as trade_off
 from ccdtools.comparison.comparison import compare as compare
 from ccdtools.comparison.experiment import experiment as experiment

@@ -30,10 +30,9 @@ from ccdtools.co_design.preview import (
     previewed_objective as previewed_objective,
     previewed_problem as previewed_problem,
 )
-from ccdtools.co_design.problem import CoDesignProblem as CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem as CoDesignProblem, FixedStart as FixedStart
 from ccdtools.co_design.random_starts import RandomStarts as RandomStarts
 from ccdtools.co_design.result import CoDesignResult as CoDesignResult
 from ccdtools.co_design.risk import CVaR as CVaR, Mean as Mean, MeanSpread as MeanSpread, WorstCase as WorstCase
-from ccdtools.co_design.scenarios import FixedStart as FixedStart
 from ccdtools.co_design.secant import stochastic_linearisation as stochastic_linearisation
 from ccdtools.co_design.trade_off import TradeOff as TradeOff

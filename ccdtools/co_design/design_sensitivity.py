@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.design_controllers import HORIZON, named_step, regulator_data, weight_changes
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.scenarios import FixedStart
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_choice, as_count, as_instance, as_vector

@@ -12,8 +12,7 @@ from scipy.optimize import linprog
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import DEPTH_TIME
 from ccdtools.co_design.design_controllers import HORIZON
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.scenarios import FixedStart
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.tolerances import NO_VIOLATION
 from ccdtools.exceptions import LimitWarning
 from ccdtools.output_limits import scaled_rows

@@ -16,8 +16,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.loops import loops_of
 from ccdtools.co_design.measured import observed
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.scenarios import Scenarios
+from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import LEAST_ACTION, PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits
 from ccdtools.estimation.measurement import Measurement

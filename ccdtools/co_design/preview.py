@@ -11,8 +11,7 @@ from scipy.linalg import block_diag
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.co_design.objective import Objective, QuadraticObjective, Weights, as_objective
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.scenarios import Scenarios
+from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError

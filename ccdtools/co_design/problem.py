@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array, Immutable
+from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.co_design.idle_entries import acting_together, check_every_entry_acts
 from ccdtools.co_design.objective import Objective, Weights, as_objective
+from ccdtools.co_design.problem_checks import (
+    bounded_limits,
+    check_discrepancy,
+    check_inputs,
+    check_measurement,
+    check_over_designs,
+    check_widths,
+)
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
-from ccdtools.co_design.scenarios import Scenarios
-from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
-from ccdtools.disturbances.disturbance import drawn_moments
+from ccdtools.design_limits import DesignLimits, Limits, limits_at, widest
+from ccdtools.disturbances.disturbance import NO_DISTURBANCE, Disturbance, drawn_moments
 from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
@@ -23,12 +30,66 @@ from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.models import as_regulated_model, check_at_rest
 from ccdtools.plants.simulated_model import SimulatedModel
-from ccdtools.plants.tolerances import ACCURACY, FEASIBLE
+from ccdtools.plants.tolerances import ACCURACY
 from ccdtools.tolerances import DIVERGENCE
-from ccdtools_ground.door import as_count, as_finite, as_floats, as_instance, as_names, as_positive, has_method, shown
+from ccdtools_ground.door import (
+    as_count,
+    as_finite,
+    as_floats,
+    as_instance,
+    as_names,
+    as_positive,
+    as_vector,
+    has_method,
+    shown,
+)
 from invariant_sets import Polytope
 
-NARROWEST = 1e-5  # A box of designs is too narrow below this part of its bounds: float32 resolves 1e-7.
+
+class Scenarios(Protocol):
+    """Anything that draws initial states with their disturbances.
+
+    Where runs have a disturbance of any length that does not depend on their starts, it is an attribute `disturbance`.
+    """
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Initial states (runs, nx) and disturbances (runs, steps, nw)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FixedStart(Immutable):
+    """Starts from one state `x0` (nx,), with fresh disturbances; none of a plant without w."""
+
+    x0: ArrayField
+    disturbance: Disturbance = NO_DISTURBANCE
+
+    def __post_init__(self) -> None:
+        self._set(x0=as_vector("x0", self.x0))
+        has_method("disturbance", self.disturbance, "sample", "a disturbance, such as Gaussian([0.1])")
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Initial states (runs, nx) and disturbances (runs, steps, nw)."""
+        return np.tile(self.x0, (runs, 1)), self.disturbance.sample(runs, steps, rng)
+
+    def check_within(self, X: Polytope) -> None:
+        """Raise an `InputError` if the start lies outside X."""
+        if not X.contains(self.x0):
+            raise InputError("scenarios.x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+
+    def check_for(self, problem: CoDesignProblem) -> None:
+        """Raise an `InputError` if no design has the start within X(p) and the limits of outputs."""
+        self.check_within(widest(problem.X))
+        designs = problem.design.spread()
+        starts = np.tile(self.x0, (len(designs), 1))
+        if isinstance(problem.X, DesignLimits) and not problem.X.contains(starts, designs).any():
+            got = f"{self.x0.tolist()}, which is outside X at every design"
+            raise InputError("scenarios.x0", got, "a state within X at some design")
+        if problem.output_limits is not None:
+            broken = problem.output_limits.broken_at(self.x0, problem.model.nu, designs)
+            if all(broken):
+                got = f"{self.x0.tolist()}, where {broken[0]} whatever the input and the design"
+                raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,8 +167,8 @@ class CoDesignProblem(Immutable):
 
     def __post_init__(self) -> None:
         model = self._model()
-        self._set(X=_bounded_limits("X", self.X, model.nx, "one per state", model.design))
-        self._set(U=_bounded_limits("U", self.U, model.nu, "one per input", model.design))
+        self._set(X=bounded_limits("X", self.X, model.nx, "one per state", model.design))
+        self._set(U=bounded_limits("U", self.U, model.nu, "one per input", model.design))
         if not widest(self.X).contains(np.zeros(model.nx)):
             raise InputError("X", "a set without the origin", "one that holds the state 0, which is regulated to")
         U = widest(self.U)
@@ -125,7 +186,7 @@ class CoDesignProblem(Immutable):
         self._set(steps=as_count("steps", self.steps))
         self._set(objective=self.objective.over(self.steps))
         self._set(model=self._differenced(model))
-        self._check_inputs()
+        check_inputs(self)
         as_risk("risk", self.risk)
         if isinstance(self.risk, WorstCase):
             risk = self.risk.over(self.scenarios) if self.discrepancy is None else of_logged_runs(self.risk)
@@ -133,53 +194,24 @@ class CoDesignProblem(Immutable):
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)
-        self._check_over_designs()
+        check_over_designs(self)
         self._set(warm_up=as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
         self._set(limit_tolerance=as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         self._set(divergence=as_positive("divergence", self.divergence))
-        self._check_discrepancy()
+        check_discrepancy(self)
         self._check_scenarios()
-        self._check_measurement()
+        self._set(hidden=as_count("hidden", self.hidden, least=0))
+        check_measurement(self)
         check_every_entry_acts(self)
 
     def _model(self) -> Any:
         """The model, whose designs single precision tells apart."""
         model: Any = as_regulated_model("model", self.model)
         model = model if model.design is not None else model.within(NO_DESIGN)
-        _check_widths(model.design)
+        check_widths(model.design)
         return model
-
-    def _check_inputs(self) -> None:
-        """Raise an `InputError` if U is too wide."""
-        (lower, upper), (low, high) = self.input_bounds, self.model.input_bounds
-        lowest, highest = np.float32(low), np.float32(high)  # environments have them in single precision
-        if (np.float32(lower) < lowest).any() or (np.float32(upper) > highest).any():
-            expected = f"bounds within {low} and {high}, which the simulator takes"
-            raise InputError("U", f"inputs from {lower} to {upper}", expected)
-
-    def _check_over_designs(self) -> None:
-        """Raise an `InputError` unless designs have finite costs and weights for LQR and MPC."""
-        designs = self.design.spread()
-        designs = designs[self.design.violation(designs) <= FEASIBLE]
-        cost = np.broadcast_to(self.objective.cost_of_design(designs, self.steps), len(designs))
-        wrong = np.flatnonzero(~np.isfinite(cost))
-        if len(wrong):
-            got = f"{cost[wrong[0]]:g} at {self.design.describe(designs[wrong[0]])}"
-            cure = "Move the bounds of the design."
-            raise InputError("objective.design_cost", got, "a finite number over the whole design box", cure)
-        for p in designs:
-            self.weights(p)
-
-    def _check_discrepancy(self) -> None:
-        """Raise an `InputError` unless `discrepancy` models this model's error."""
-        if self.discrepancy is None:
-            return
-        has_method("discrepancy", self.discrepancy, "penalty", "a Discrepancy or None")
-        size = np.shape(self.discrepancy.weight)
-        if size != (self.model.nx, self.model.nx):
-            raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")
 
     def _differenced(self, model: Any) -> Any:
         """Model of a simulator in sizes of the problem; other models as they are."""
@@ -221,26 +253,6 @@ class CoDesignProblem(Immutable):
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
-
-    def _check_measurement(self) -> None:
-        """Raise an `InputError` unless states are left to see, and a filter of the `measurement` can be made."""
-        self._set(hidden=as_count("hidden", self.hidden, least=0))
-        if self.hidden >= self.model.nx:
-            raise InputError("hidden", self.hidden, f"less than {self.model.nx}, the states of the model")
-        if self.measurement is None:
-            return
-        has_method("measurement", self.measurement, "drawn", "a Measurement(output, noise=…) or None")
-        if not self.measurement.random:
-            got = "one without noise" if self.measurement.noise is None else "recorded noise, the same in every episode"
-            raise InputError("measurement", got, "Measurement(output, noise=…) of deviations or a Disturbance")
-        if self.discrepancy is not None:
-            raise InputError("discrepancy", "a learned error beside a measurement", "one or the other")
-        from ccdtools.co_design.measured import kalman_filter  # estimation is loaded where it is asked for
-
-        try:
-            kalman_filter(self, self.design.project(self.design.centre))
-        except InputError as error:
-            raise InputError(f"measurement, {error.argument}", error.got, error.expected, error.cure) from None
 
     @cached_property
     def moments(self) -> tuple[Array, Array, Array]:
@@ -388,31 +400,6 @@ class CoDesignProblem(Immutable):
         lower, upper = self.design.lower, self.design.upper
         room = np.where(self.design.free, 0.0, np.where(lower == 0, 1.0, 0.5 * np.abs(lower)))
         return np.r_[-scale, lower - room], np.r_[scale, upper + room]
-
-
-def _check_widths(design: DesignSpace) -> None:
-    """Raise an `InputError` if single precision cannot tell the designs apart."""
-    size = np.maximum(np.abs(design.lower), np.abs(design.upper))
-    narrow = np.flatnonzero(design.free & (design.upper - design.lower < NARROWEST * size))
-    if len(narrow):
-        i = narrow[0]
-        raise InputError(
-            "model", f"{design.names[i]} in [{design.lower[i]:.10g}, {design.upper[i]:.10g}]",
-            f"a box of designs at least {NARROWEST:g} times as wide as its bounds are large",
-            "Let the parameter be the deviation from its lower bound.",
-        )  # fmt: skip
-
-
-def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """Bounded limits of that dimension, else an `InputError`."""
-    limits = as_limits_over(name, value, size, of, space)
-    if isinstance(limits, DesignLimits):
-        return limits
-    if limits.is_empty:
-        raise InputError(name, "an empty set", "one with at least one point")
-    if not np.isfinite(np.concatenate(limits.bounding_box())).all():
-        raise InputError(name, "an unbounded set", "a bounded one")
-    return limits
 
 
 def as_seen_problem(value: Any) -> CoDesignProblem:

@@ -16,8 +16,7 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import as_method, codesign
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.output_filter import estimator_at, memory_at
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.scenarios import FixedStart
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.controllers.observed import Observed
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.evidence.evidence import Violation

@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.co_design.method_names import STUDY_EXPERTS
 from ccdtools.co_design.objective import Objective, Weights, as_objective
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, of_logged_runs
-from ccdtools.co_design.scenarios import FixedStart
 from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
 from ccdtools.controllers.controllers import Controller
 from ccdtools.design_limits import Limits, as_limits_over, widest

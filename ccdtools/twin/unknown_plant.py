@@ -10,9 +10,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
-from ccdtools.co_design.scenarios import FixedStart
 from ccdtools.disturbances.combinations import Stacked, Sum
 from ccdtools.disturbances.disturbance import Gaussian, drawn_moments
 from ccdtools.exceptions import InputError

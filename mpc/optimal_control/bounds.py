@@ -18,7 +18,10 @@ RISING = "rising fractions of the duration, from 0 to 1"
 
 
 def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False) -> tuple[Array, Array]:
-    """Bounds (lower, upper), each (size,), infinite where None or, apart, beyond 1e19; without a size they tell it."""
+    """Bounds (lower, upper), each (size,).
+
+    Infinite where None or, apart, beyond 1e19; without a size they tell it.
+    """
     if value is None:
         return np.full(size or 0, -INF), np.full(size or 0, INF)
     value = tuple(value) if isinstance(value, np.ndarray) else value

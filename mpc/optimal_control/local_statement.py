@@ -131,7 +131,10 @@ class Local:
 
     @cached_property
     def defects(self) -> float:
-        """Largest gap in the plan, in what its states move; where that is rounding, in the least that is none."""
+        """Largest gap in the plan, in what its states move.
+
+        Where that is rounding, in the least that is none.
+        """
         moves, values = np.ptp(self.states, axis=0), np.maximum(self.sizes[0], np.abs(self.states).max(axis=0))
         return max(largest(part / np.maximum(moves, WELL_SIZED * values / RUNAWAY)) for part in self.about[2:])
 

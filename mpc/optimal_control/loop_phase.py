@@ -57,7 +57,7 @@ class LoopPhase(Immutable):
 
     @property
     def nw(self) -> int:
-        """Signals of a sample: at its begin, in time at its end too."""
+        """Number of signals of a sample, in time of both ends."""
         return int(self.functions.nw) * (1 if self.phase.discrete else 2)
 
     @cached_property
@@ -139,7 +139,7 @@ class LoopPhase(Immutable):
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
     def scale(self, program: NonlinearProgram, u_bounds: tuple[Array, Array]) -> Array:
-        """Sizes of unknowns (n,): bounds that no inputs within theirs reach tell none."""
+        """Sizes of unknowns (n,), without bounds that nothing reaches."""
         part, found = program.parts[0], program.scale.copy()
         guess = None if self.phase.guess is None else part.phase.guess
         loose = replace(part.phase, x_bounds=(-INF, INF), u_bounds=u_bounds, start=None, end=None, guess=guess)

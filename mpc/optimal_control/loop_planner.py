@@ -153,7 +153,7 @@ class LoopPlanner:
         return clock.stamped(told_of_inputs(found, self.loop.phase.u_bounds, self.loop.rate_limit, given))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
-        """Optimum that quadratic programs lead to, what they come to in time, or None."""
+        """Plan that quadratic programs lead to, or None."""
         own, late = carried(before, self.stages.rows), before.status is Status.LATE
         first, stated = Path(before.states, before.inputs, multipliers=own), partial(self._local, x, given)
         if own is None and not late:
@@ -173,7 +173,7 @@ class LoopPlanner:
         return found if found.status is Status.SOLVED or known else None
 
     def _reached(self, path: Path, stated: Callable[[Array, Array], Local]) -> Plan | None:
-        """Plan after the last program in time, which the next sample goes on from; None without numbers."""
+        """Plan after the last program in time, None without numbers."""
         states, inputs = path.moved.states, path.moved.inputs
         local, on = stated(states, inputs), path.last.multipliers if path.last else None
         if on is None or not np.isfinite(local.cost()):

@@ -236,7 +236,7 @@ class NonlinearMPC(Immutable):
         return tuple(self._last)
 
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
-        """Controller for other parameters p (np,), with the same model, which goes on from the last plans."""
+        """Controller for other parameters p (np,), which goes on from the last plans."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
         for name in ("linear", "problem", "planner", "steady_solver"):

@@ -56,7 +56,7 @@ class Path:
 
     @property
     def falling(self) -> tuple[Array, Array]:
-        """Moves of states and inputs along which the cost falls at a saddle."""
+        """Moves along which the cost falls at a saddle."""
         return (0 * self.states, 0 * self.inputs) if self.last is None else self.last.falling
 
     @property

@@ -239,7 +239,7 @@ class QuadraticPlanner:
         return programs(at, stated, sample.clock, dear=sample.dear)
 
     def _by_ipopt(self, sample: _Sample, path: Path) -> Path | None:
-        """Best path by programs from where Ipopt comes to, None where that is nowhere."""
+        """Best path by programs from where Ipopt comes to."""
         general = self._general(self.law.soft or (sample.dear, sample.dear))
         more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
         found = general.near(*more, sample.size, sample.clock)

@@ -75,7 +75,7 @@ class Step:
 
     @property
     def falling(self) -> tuple[Array, Array]:
-        """Moves of states and inputs along which it falls most, of any size."""
+        """Moves of states and inputs along which it falls most."""
         (A, B, gaps, first), gains, unit = self.local.about, self.program.along[2], self.program.unit
         falls = _by_moves(A, B, gains, _priced(self.local, self._prices, self.hessian))[0]
         least = unit * np.linalg.eigh(unit[:, None] * falls * unit)[1][:, 0]
