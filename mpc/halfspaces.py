@@ -30,10 +30,13 @@ def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
 def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
     """Distance (n,) along each axis to a row; 0 without.
 
-    A row that misses the origin by the rounding of the farthest one is taken to go through it.
+    A row that misses the origin by the rounding of the farthest one is taken to go through it. One that sees an axis by
+    the rounding of what else it sees, as a polygon by sines, does not see it.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        crossing = np.abs(h[:, None] / H)
+        seen = np.abs(H) / np.abs(H).max(axis=0, initial=0.0)
+        seen = seen > ROUNDED_SUM * np.nanmax(seen, axis=1, keepdims=True, initial=0.0)
+        crossing = np.abs(h[:, None] / np.where(seen, H, 0.0))
     crossing[~np.isfinite(crossing)] = 0.0
     reach = np.asarray(crossing.max(axis=0, initial=0.0))
     if farthest:

@@ -52,7 +52,7 @@ class _Tried:
     @cached_property
     def sure(self) -> bool:
         """Whether it is an optimum, and at no saddle."""
-        return self.status is Status.SOLVED and not (self.step and self.step.saddle and self.step.sees_all)
+        return self.status is Status.SOLVED and not (self.step and self.step.falls)
 
     @property
     def status(self) -> Status:
@@ -162,7 +162,7 @@ class LoopPlanner:
             path = contracted(while_newton(programs(first, stated, clock, times=times)), self.most)
             if path is None or path.last is None:
                 return None
-            if not path.error <= KKT or path.last.saddle:
+            if not path.error <= KKT or path.last.falls:
                 return self._reached(path, stated) if clock.stopped else None
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools_ground.door import as_instance
+from ccdtools_ground.door import as_flag, as_instance
 from invariant_sets import Polytope, maximal_positively_invariant_set
 from mpc.checks import Array, Immutable, as_array, as_count, as_floats, as_rate_limit, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
@@ -235,13 +235,16 @@ class NonlinearMPC(Immutable):
         """Plans of the last call, one for each row."""
         return tuple(self._last)
 
-    def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
-        """Controller for other parameters p (np,), which goes on from the last plans."""
+    def with_parameters(self, p: ArrayLike, *, follow: bool = False) -> NonlinearMPC:
+        """Controller for other parameters p (np,), with the same model.
+
+        Where asked to `follow` it goes on from the last plans, as where an estimator tells p anew at each sample.
+        """
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
         for name in ("linear", "problem", "planner", "steady_solver"):
             other.__dict__.pop(name, None)
-        for name, own in (("p", value), ("_last", list(self._last))):
+        for name, own in (("p", value), ("_last", list(self._last) if as_flag("follow", follow) else [])):
             object.__setattr__(other, name, own)
         _ = other.planner
         return other

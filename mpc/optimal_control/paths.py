@@ -52,7 +52,7 @@ class Path:
     @property
     def falls(self) -> bool:
         """Whether its program tells of a saddle."""
-        return self.last is not None and not self.last.strict and self.last.saddle
+        return self.last is not None and self.last.falls
 
     @property
     def falling(self) -> tuple[Array, Array]:

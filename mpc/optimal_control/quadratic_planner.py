@@ -15,7 +15,6 @@ from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.local_statement import largest
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.paths import CONVERGING, REAL_TIME, Path, contracted, programs
 from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
@@ -154,7 +153,7 @@ class QuadraticPlanner:
             cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
-            at_saddle = found.status is Status.SOLVED and done[-1].falls
+            at_saddle = done[-1].solved and done[-1].falls
             if not (at_saddle or found.status is Status.SOFTENED):  # beyond hard limits there may be nothing to follow
                 return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
         at = replace(first, name=CONVERGING, last=None)
@@ -182,7 +181,8 @@ class QuadraticPlanner:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
         path = self._followed(sample.x, at, sample.given)
         cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
-        status = Status.SOLVED if at.solved and self._kept(path, at, cost, sample.given) else otherwise
+        optimum = at.solved and not at.falls and self._kept(path, at, cost, sample.given)
+        status = Status.SOLVED if optimum else otherwise
         residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
         if at.last is not None:
             residuals = Residuals(at.last.stationarity, at.last.defects, 0.0, 0.0)
@@ -214,8 +214,8 @@ class QuadraticPlanner:
         while at.solved and at.falls:
             aside = self._off(sample, at)
             further = at if aside is None else self._contracted(sample, aside)
-            done = further.solved or sample.clock.up
-            further = further if done else self._by_ipopt(sample, further) or further
+            shot = None if further.solved or sample.clock.up else self._by_ipopt(sample, further)
+            further = shot if shot and self._cheaper(sample, shot, further) else further
             if not self._cheaper(sample, further, at):
                 break
             at = further
@@ -224,8 +224,7 @@ class QuadraticPlanner:
     def _off(self, sample: _Sample, at: Path) -> Path | None:
         """Path that costs less than a saddle, along what falls there."""
         states, inputs = at.falling
-        most = 1 / max(largest(inputs / self.stages.sizes[1]), TINY)
-        for size in most * np.geomspace(1.0, NEGLIGIBLE**2, 41):
+        for size in np.geomspace(1.0, NEGLIGIBLE**2, 41):
             for along in (size, -size):
                 moved = replace(at, states=at.states + along * states, inputs=at.inputs + along * inputs)
                 path = self._followed(sample.x, moved, sample.given)

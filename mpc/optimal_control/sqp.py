@@ -53,34 +53,56 @@ class Step:
         own, on = self.program, self.multipliers
         return own.hessian if own.curves_as(self.local, on) else self.local.hessian(on)
 
-    @property
-    def saddle(self) -> bool:
-        """Whether the Lagrangian's Hessian falls in a direction along limits that push."""
-        local, nx = self.local, self.local.states.shape[1]
-        more = NEGLIGIBLE**2 * np.abs(np.diagonal(self.hessian, axis1=1, axis2=2))
-        extent = np.where(np.isfinite(local.extent), local.extent, local.sizes[1])
-        size = max(abs(local.cost()), COST_ROUNDING * local.cost_size)
-        more[:, nx:] += COST_ROUNDING * size / extent**2  # what saves nothing is none
-        return not self._curved(more)
-
-    @property
-    def sees_all(self) -> bool:
-        """Whether no limit of changes of inputs pushes, along which no block of a Hessian lies."""
-        return not self.multipliers.pushes[self.local.rows.by_before.any(axis=1)].any()
-
     @cached_property
+    def falls(self) -> bool:
+        """Whether the Lagrangian's Hessian falls in a direction along limits that push: a saddle."""
+        if self.strict or self._curved(self._nothing):
+            return False
+        # along limits of changes of inputs, which no block of a Hessian sees
+        return not self.multipliers.pushes[self.local.rows.by_before.any(axis=1)].any() or self._falling[0] < 0
+
+    @property
     def strict(self) -> bool:
-        """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
+        """Whether it is positive definite along limits that push."""
         return self._curved(np.zeros(self.hessian.shape[:2]))
 
     @property
     def falling(self) -> tuple[Array, Array]:
-        """Moves of states and inputs along which it falls most."""
-        (A, B, gaps, first), gains, unit = self.local.about, self.program.along[2], self.program.unit
-        falls = _by_moves(A, B, gains, _priced(self.local, self._prices, self.hessian))[0]
-        least = unit * np.linalg.eigh(unit[:, None] * falls * unit)[1][:, 0]
-        states, inputs = moved(A, B, gains, 0 * gaps, 0 * first, least.reshape(1, *self.inputs.shape))
-        return states[0], inputs[0]
+        """Moves along which it falls most, by as much as the cost."""
+        value, least = self._falling
+        return least[0] * (size := np.sqrt(2 * self._cost / max(-value, TINY))), least[1] * size
+
+    @property
+    def _cost(self) -> float:
+        """Size of the cost, also where that vanishes."""
+        return max(abs(self.local.cost()), COST_ROUNDING * self.local.cost_size)
+
+    @cached_property
+    def _nothing(self) -> Array:
+        """What (N + 1, nx + nu) falls on the diagonal and saves nothing."""
+        own, extent, nx = (
+            np.abs(np.diagonal(self.hessian, axis1=1, axis2=2)),
+            self.local.extent,
+            self.local.states.shape[1],
+        )
+        found = NEGLIGIBLE**2 * own
+        found[:, nx:] += COST_ROUNDING * np.where(np.isfinite(extent), self._cost / extent**2, own[:, nx:])
+        return found
+
+    @cached_property
+    def _falling(self) -> tuple[float, tuple[Array, Array]]:
+        """Least eigenvalue along limits that push, in units of the program, and its moves."""
+        (A, B, gaps, first), (*_, gains, _, _), unit = self.local.about, self.program.along, self.program.unit
+        rows, none = self.local.rows, (0 * gaps, 0 * first)
+        whole = self.hessian + self._nothing[:, :, None] * np.eye(self._nothing.shape[1])
+        falls = unit[:, None] * _by_moves(A, B, gains, _priced(self.local, self._prices, whole))[0] * unit
+        rates = np.flatnonzero((self.multipliers.pushes > 0) & rows.by_before.any(axis=1))
+        held = rows.pulled((A, B, gains, *none), rates) * unit
+        free = np.linalg.qr(held.T, mode="complete")[0][:, len(rates) :]
+        values, vectors = np.linalg.eigh(free.T @ falls @ free)
+        least = (unit * (free @ vectors[:, 0])).reshape(1, *self.inputs.shape)
+        states, inputs = moved(A, B, gains, *none, least)
+        return float(values[0]), (states[0], inputs[0])
 
     @cached_property
     def _prices(self) -> Array:
