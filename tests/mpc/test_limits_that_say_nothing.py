@@ -241,3 +241,17 @@ def test_a_law_of_states_beside_which_the_inputs_are_nothing_says_what_to_choose
     law = mpc.explicit((-2.0, 2.0))
     assert law.status is MPQPStatus.COMPLETE
     np.testing.assert_allclose(law([0.3]), mpc([0.3]), atol=1e-9)
+
+
+@pytest.mark.parametrize("soft", [None, (1.0, 10.0)])
+def test_a_polygon_by_sines_is_one(soft):
+    """A sine of 1e-16 told a size of 7e15: soft violations had next to no price, hard ones were twice as large."""
+    angles = np.arange(6) * np.pi / 3
+    rows = np.column_stack([np.cos(angles), np.sin(angles)])
+    plans = [
+        LinearMPC([[1, 0.1], [0, 1]], [[0], [0.1]], Q=np.eye(2), R=[[0.1]], horizon=20, U=([-3], [3]), soft=soft,
+                  X=Polytope(H, np.ones(6))).solve([1.2, -1])
+        for H in (rows, np.where(np.abs(rows) < 1e-12, 0, rows))
+    ]  # fmt: skip
+    assert plans[0].violation == pytest.approx(plans[1].violation, rel=1e-6)
+    assert plans[0].cost == pytest.approx(plans[1].cost, rel=1e-6)
