@@ -251,7 +251,8 @@ class MPCProblem(Immutable):
     def state_extent(self) -> Array:
         """Size (nx,) of each state by bounds, else by what inputs move first."""
         extent = np.where(self.input_extent > 0, self.input_extent, 1.0)
-        moved = first_positive(self.limits.state_extent(), *(each @ extent for each in self._responses(self.A)))
+        stable = self.A / self._radius
+        moved = first_positive(self.limits.state_extent(), *(each @ extent for each in self._responses(stable)))
         weight = np.diag(self.Q)
         price = max((weight * moved**2).max(), (np.diag(self.R) * extent**2).max())  # of a state that no input moves
         return first_positive(moved, np.sqrt(price / np.where(weight > 0, weight, np.inf)), np.ones(self.nx))
@@ -275,16 +276,20 @@ class MPCProblem(Immutable):
         return np.nan_to_num(moved, nan=np.inf, posinf=np.inf)
 
     @cached_property
+    def _radius(self) -> float:
+        """Growth of an unstable plant in a sample, else 1."""
+        return max(1.0, float(np.abs(np.linalg.eigvals(self.A)).max()))
+
+    @cached_property
     def _reaching_inputs(self) -> Array:
         """Least input sizes (nu,) that bring states to their limits.
 
         The size of an input without limits of its own; infinite where it reaches none. What an unstable plant adds by
         itself does not count.
         """
-        radius = max(1.0, float(np.abs(np.linalg.eigvals(self.A)).max()))
         limit = first_positive(along_axes(*self.state_rows), along_axes(*self.terminal_rows))
         size = np.full(self.nu, np.inf)
-        for response in self._responses(self.A / radius):
+        for response in self._responses(self.A / self._radius):
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = np.where((response > 0) & (limit > 0)[:, None], limit[:, None] / response, np.inf)
             size = np.minimum(size, ratio.min(axis=0))
