@@ -28,7 +28,16 @@ from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, NEGLIGIBLE, SOLVERS, VIOLATION_PRICE as PRICE, WELL_SIZED
+from mpc.tolerances import (
+    BOTTOMLESS,
+    COST_ROUNDING,
+    FEASIBLE,
+    KKT,
+    NEGLIGIBLE,
+    SOLVERS,
+    VIOLATION_PRICE as PRICE,
+    WELL_SIZED,
+)
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -210,7 +219,7 @@ class LoopPlanner:
 
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
-        program = self._sized(x, given)
+        program = self._sample(x, given)
         run = Run(program, self.settings, clock)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, program, partial(self._local, x, given))
@@ -218,12 +227,13 @@ class LoopPlanner:
             v = self._unknowns(program, before.states, self._aside(before.inputs, program), given)
             tried.append(solved(v, PRICE**2))
         if not tried or not (tried[0].sure or clock.up):
-            guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given, program))
-            own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
-            tried += until_most_agree(own, self.starts, lambda one: one.sure)
+            tried += self._from_starts(run, program, x, given, clock)
             least = min(tried, key=lambda one: one.rank)
             if least.status in RANKS[2:] and not clock.late:
                 tried.append(solved(least.found.v, PRICE**2))
+                least = min(tried, key=lambda one: one.rank)
+            if (least.status in RANKS[2:] or least.cost > self._held(x, given)) and not clock.up:
+                tried += self._from_starts(run, self._sized(x, given), x, given, clock)
         best = min(tried, key=lambda one: one.rank)
         bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
         if best.status in RANKS[2:] and not bounded and any(run.falls(one.found) for one in tried):
@@ -322,6 +332,21 @@ class LoopPlanner:
             bounds[part.first : part.first + len(first)] = first
             bounds[program.parameters] = np.concatenate([self.p, given["t"]])
         return replace(program, lower=lower, upper=upper, guess=np.clip(program.guess, lower, upper))
+
+    def _from_starts(self, run: Run, program: NonlinearProgram, x: Array, given: Given,
+                     clock: Clock) -> Iterator[_Tried]:  # fmt: skip
+        """Results from starts, until most agree."""
+        guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given, program))
+        solved = partial(self._solved, run, program, partial(self._local, x, given))
+        own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
+        return until_most_agree(own, self.starts, lambda one: one.sure)
+
+    def _held(self, x: Array, given: Given) -> float:
+        """Twice the cost of the inputs of the guess, infinite beyond limits."""
+        inputs = first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon))[1]
+        at = self._local(x, given, *self._led_to(x, inputs, given))
+        size = max(abs(at.cost()), COST_ROUNDING * at.cost_size)
+        return at.cost() + size if at.passed[1] <= FEASIBLE else np.inf
 
     def _sized(self, x: Array, given: Given) -> NonlinearProgram:
         """Program of one sample, of sizes that loose bounds do not tell.

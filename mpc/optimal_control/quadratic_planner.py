@@ -153,7 +153,8 @@ class QuadraticPlanner:
             cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
-            at_saddle = done[-1].solved and done[-1].falls
+            last = done[-1].last  # to look along limits of changes takes ten times as long as the iteration
+            at_saddle = last is not None and done[-1].solved and not last.changes_pushed and last.falls
             if not (at_saddle or found.status is Status.SOFTENED):  # beyond hard limits there may be nothing to follow
                 return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
         at = replace(first, name=CONVERGING, last=None)
@@ -181,7 +182,7 @@ class QuadraticPlanner:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
         path = self._followed(sample.x, at, sample.given)
         cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
-        optimum = at.solved and not at.falls and self._kept(path, at, cost, sample.given)
+        optimum = at.solved and (at.name == REAL_TIME or not at.falls) and self._kept(path, at, cost, sample.given)
         status = Status.SOLVED if optimum else otherwise
         residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
         if at.last is not None:

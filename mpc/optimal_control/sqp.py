@@ -58,8 +58,12 @@ class Step:
         """Whether the Lagrangian's Hessian falls in a direction along limits that push: a saddle."""
         if self.strict or self._curved(self._nothing):
             return False
-        # along limits of changes of inputs, which no block of a Hessian sees
-        return not self.multipliers.pushes[self.local.rows.by_before.any(axis=1)].any() or self._falling[0] < 0
+        return not self.changes_pushed or self._falling[0] < 0
+
+    @property
+    def changes_pushed(self) -> bool:
+        """Whether limits of changes of inputs push, which no block of a Hessian sees."""
+        return bool(self.multipliers.pushes[self.local.rows.by_before.any(axis=1)].any())
 
     @property
     def strict(self) -> bool:

@@ -230,3 +230,16 @@ def test_weights_in_small_units_beside_loose_limits_of_inputs_have_the_plan_of_o
     found, best = plan(weight, most), plan(1, 10)
     assert found.status.name == "SOLVED"
     assert found.cost == pytest.approx(weight * best.cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("limit", [1.0, None])
+def test_a_guess_that_costs_nothing_tells_no_size_of_inputs(limit):
+    """Beside a cost of 0 any size is too large: inputs of 1e-7 left no saddle, and costs were said to fall for ever."""
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * u[0], x[1] + 0.1 * x[0] * u[0]), 2, 1, discrete=True, duration=15,
+        stage_cost=lambda x, u: 0.1 * u[0] ** 2 - x[1] + x[0] ** 4 + 0.1 * x[1] ** 2,
+        u_bounds=None if limit is None else (-limit, limit),
+    )  # fmt: skip
+    plan = NonlinearMPC(phase).solve([0, 0])
+    assert plan.status.name == "SOLVED"
+    assert plan.cost == pytest.approx(-0.250660, abs=1e-5)
