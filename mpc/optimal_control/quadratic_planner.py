@@ -52,6 +52,7 @@ class _Sample:
     dear: float
     clock: Clock
     far: bool  # whether a first path costs more than that
+    known: bool  # whether it is an optimum of the sample before, and no dearer
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,8 @@ class QuadraticPlanner:
             cost = cost_of(self.law, first.inputs, first.states, given)
             size = max(min(cost, most), TINY)
             dear = VIOLATION_PRICE * size
-            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
+            known = before is not None and before.status is Status.SOLVED and cost <= before.cost
+            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear, known)
             found = clock.stamped(self._found(sample))
             # one that is no dearer than the plan before will do (Scokaert, Mayne and Rawlings, 1999)
             does = found.status is Status.FOLLOWED and self._total(found, given, dear) <= cost
@@ -154,7 +156,8 @@ class QuadraticPlanner:
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
             last = done[-1].last  # to look along limits of changes takes ten times as long as the iteration
-            at_saddle = last is not None and done[-1].solved and not last.changes_pushed and last.falls
+            looked = sample.known or last is None or last.changes_pushed
+            at_saddle = not looked and done[-1].solved and done[-1].falls
             if not (at_saddle or found.status is Status.SOFTENED):  # beyond hard limits there may be nothing to follow
                 return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
         at = replace(first, name=CONVERGING, last=None)
