@@ -73,8 +73,9 @@ class Step:
     @property
     def falling(self) -> tuple[Array, Array]:
         """Moves along which it falls most, by as much as the cost."""
-        value, least = self._falling
-        return least[0] * (size := np.sqrt(2 * self._cost / max(-value, TINY))), least[1] * size
+        value, (states, inputs) = self._falling
+        size = np.sqrt(2 * self._cost / max(-value, TINY))
+        return size * states, size * inputs
 
     @property
     def _cost(self) -> float:
@@ -84,11 +85,8 @@ class Step:
     @cached_property
     def _nothing(self) -> Array:
         """What (N + 1, nx + nu) falls on the diagonal and saves nothing."""
-        own, extent, nx = (
-            np.abs(np.diagonal(self.hessian, axis1=1, axis2=2)),
-            self.local.extent,
-            self.local.states.shape[1],
-        )
+        own = np.abs(np.diagonal(self.hessian, axis1=1, axis2=2))
+        extent, nx = self.local.extent, self.local.states.shape[1]
         found = NEGLIGIBLE**2 * own
         found[:, nx:] += COST_ROUNDING * np.where(np.isfinite(extent), self._cost / extent**2, own[:, nx:])
         return found
