@@ -91,9 +91,9 @@ def test_saddles_of_inputs_without_limits_are_left_in_any_unit(unit):
     assert plan.cost < 5.3
 
 
-@pytest.mark.parametrize(("seed", "least"), [(2, 4.5126), (50, 4.4285)])
-def test_saddles_along_limits_of_changes_are_left(seed, least):
-    """Where such limits act a saddle was looked for without them: 4.566 and 4.680 were SOLVED."""
+@pytest.mark.parametrize(("seed", "saddle"), [(2, 4.56554), (50, 4.67976)])
+def test_saddles_along_limits_of_changes_are_left(seed, saddle):
+    """Where such limits act a saddle was looked for without them, and SOLVED; two optima lie beside the second."""
     rng = np.random.default_rng(seed)
     nu, N = int(rng.integers(1, 4)), int(rng.integers(4, 16))
     decay, ref = rng.uniform(0.3, 0.8), np.append(np.zeros(nu), rng.uniform(0.5, 3))
@@ -104,4 +104,4 @@ def test_saddles_along_limits_of_changes_are_left(seed, least):
     )  # fmt: skip
     plan = controller.solve(np.zeros(nu + 1), x_ref=ref, u_prev=np.zeros(nu))
     assert plan.status is Status.SOLVED
-    assert plan.cost == pytest.approx(least, rel=1e-3)
+    assert plan.cost < 0.99 * saddle
