@@ -20,7 +20,8 @@ from mpc.optimal_control.paths import CONVERGING, REAL_TIME, Path, contracted, p
 from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
-from mpc.optimal_control.sqp import TINY, carried
+from mpc.optimal_control.sqp import carried
+from mpc.optimal_control.step_program import TINY
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import (

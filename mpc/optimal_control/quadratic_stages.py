@@ -14,7 +14,7 @@ from mpc.feedback import stabilising_weights
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.local_statement import Local, Multipliers, Rows, both
-from mpc.optimal_control.sqp import convex
+from mpc.optimal_control.step_program import convex
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, deviations, disturbance, references
 from mpc.tolerances import COST_ROUNDING

@@ -11,12 +11,20 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
-from mpc.optimal_control.condensing import gains_along, moved, pulled
-from mpc.optimal_control.local_statement import Along, Local, Multipliers, Rows, both, largest
+from mpc.optimal_control.condensing import moved, pulled
+from mpc.optimal_control.local_statement import Local, Multipliers, Rows, largest
+from mpc.optimal_control.step_program import (
+    TINY,
+    Program,
+    by_moves,
+    by_roots,
+    condensed,
+    priced_across,
+    prices_across,
+    program_about,
+)
 from mpc.plan import Plan
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, OPTIMAL, PRIMAL, ROUNDED_SUM, VIOLATION_PRICE
-
-TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, OPTIMAL, PRIMAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +42,7 @@ class Step:
     # how far inputs would still move, in parts of their limits, and what part of the cost that would save
     stationarity: float
     relaxed: bool  # whether limits of states had to be relaxed
-    program: _Program
+    program: Program
     _balanced: Callable[[], Multipliers]
 
     @cached_property
@@ -97,7 +105,7 @@ class Step:
         (A, B, gaps, first), (*_, gains, _, _), unit = self.local.about, self.program.along, self.program.unit
         rows, none = self.local.rows, (0 * gaps, 0 * first)
         whole = self.hessian + self._nothing[:, :, None] * np.eye(self._nothing.shape[1])
-        falls = unit[:, None] * _by_moves(A, B, gains, _priced(self.local, self._prices, whole))[0] * unit
+        falls = unit[:, None] * by_moves(A, B, gains, priced_across(self.local, self._prices, whole))[0] * unit
         rates = np.flatnonzero((self.multipliers.pushes > 0) & rows.by_before.any(axis=1))
         held = rows.pulled((A, B, gains, *none), rates) * unit
         free = np.linalg.qr(held.T, mode="complete")[0][:, len(rates) :]
@@ -112,86 +120,14 @@ class Step:
         own, on, local, rows = self.program, self.multipliers, self.local, self.local.rows
         price = np.append(local.priced(self.relaxed, own.dear)[:, 1], np.inf)[rows.slots] / rows.amounts**2
         passed = np.isfinite(price) & (on.pushes > 0) & (local.room < -FEASIBLE * rows.units)
-        return np.where(passed, price, _held(local, own.dear, on.pushes, self.relaxed))
+        return np.where(passed, price, prices_across(local, own.dear, on.pushes, self.relaxed))
 
     def _curved(self, more: Array) -> bool:
         """Whether it, with more (N + 1, nx + nu) on its diagonal, rises along limits that push."""
         if self.program.hessian is self.hessian:
             return True
         whole = self.hessian + more[:, :, None] * np.eye(more.shape[1])
-        return _condensed(self.local, self._prices, whole) is not None
-
-
-@dataclass(frozen=True, eq=False)
-class _Program:
-    """Minimise ½ z'Hz + (by_state + by_input)'z within limits.
-
-    z is the v of `moved`; H is block diagonal with `blocks` (b, n/b, n/b).
-    """
-
-    local: Local
-    dear: float
-    along: Along  # (A, B, gains, gaps, first): arguments of `moved` but for v
-    hessian: Array  # (N + 1, nx + nu, nx + nu): of the Lagrangian
-    held: Array  # (m,): prices of moves across rows from their aims, half of what they add to the Hessian
-    aims: Array
-    blocks: Array
-    roots: Array  # blocks of T for which y, z = Ty, has the Hessian 1
-    start: tuple[Array, Array]  # moves of z = 0
-    by_state: Array
-    by_input: Array
-    lost: Array
-    of: Multipliers | None  # of its Hessian, where that is the Lagrangian's
-
-    def curves_as(self, local: Local, on: Multipliers) -> bool:
-        """Whether its Hessian is the Lagrangian's at a plan and with multipliers that are hardly others."""
-        plan, before = self.local, self.of
-        if before is None or before.hessian is not None:  # of another plan
-            return False
-        k = before.costates.shape[1]  # a plan carries those of its states
-        size = np.abs(on.costates[:, :k]).max(axis=0, initial=0.0)
-        pairs = (
-            (plan.states, local.states, local.sizes[0]), (plan.inputs, local.inputs, local.sizes[1]),
-            (before.costates, on.costates[:, :k], size), (before.pushes, on.pushes, on.pushes),
-        )  # fmt: skip
-        return all((np.abs(now - then) <= KKT**0.5 * unit).all() for then, now, unit in pairs)
-
-    @property
-    def gradient(self) -> Array:
-        """Linear cost."""
-        return self.by_state + self.by_input
-
-    @cached_property
-    def unit(self) -> Array:
-        """Sizes (n,) of z in which inputs of any units count alike."""
-        return np.asarray(1 / np.sqrt(np.diagonal(self.blocks, axis1=1, axis2=2)).ravel())
-
-    def moves(self, z: Array) -> tuple[Array, Array]:
-        """Moves (N + 1, nx) of states and (N, nu) of inputs."""
-        by_state, by_input = moved(*self.along, z.reshape(1, len(self.local.inputs), -1))
-        return by_state[0], by_input[0]
-
-    def curvature(self, z: Array) -> Array:
-        """Product Hz (n,)."""
-        return np.asarray(self.blocks @ z.reshape(*self.blocks.shape[:2], 1)).ravel()
-
-    def unrest(self, force: Array, balance: float, change: Array, gain: float) -> float:
-        """Stationarity, see `Step`, where a move makes a gradient (n,) vanish."""
-        local, found = self.local, largest(force * self.unit) / balance
-        still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
-        if still >= found:
-            return found
-        return min(found, max(still, abs(gain) / max(abs(local.cost()), local.lost_cost, TINY)))
-
-    def multipliers(self, moves: Array, change: Array, taken: Array, pushes: Array) -> Multipliers:
-        """Multipliers of the plan after moves, for those of the rows taken."""
-        local = self.local
-        found = np.zeros(len(local.room))
-        found[taken] = pushes
-        found += 2 * self.held * (local.rows.along(moves, change) - self.aims)
-        slopes = _bent(local, self.hessian, moves, change)
-        by_state, by_input = local.rows.pushed(np.maximum(found, 0.0), *slopes)
-        return Multipliers(pulled(*self.along[:3], by_state[None], by_input[None])[1][0, 1:], np.maximum(found, 0.0))
+        return condensed(self.local, self._prices, whole) is not None
 
 
 def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float = 1.0,
@@ -219,7 +155,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     tried = [multipliers, None]
     if multipliers is not None and multipliers.hessian is not None:
         tried.insert(1, replace(multipliers, hessian=None))
-    program = next(filter(None, (_program(local, dear, one, relaxed) for one in tried)), None)
+    program = next(filter(None, (program_about(local, dear, one, relaxed) for one in tried)), None)
     if program is None:
         return None
     z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)
@@ -247,11 +183,6 @@ def carried(plan: Plan, rows: Rows) -> Multipliers | None:
     return Multipliers(plan.costates, plan.pushes, plan.hessian if fits else None)
 
 
-def convex(local: Local) -> bool:
-    """Whether the program without multipliers is convex."""
-    return _program(local, 0.0, None) is not None
-
-
 def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) -> Step:
     """Step that does not move, with its residuals.
 
@@ -264,7 +195,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     each = pulled(*local.about[:2], program.along[2], by_state, by_input)[0].reshape(len(parts), -1)
     balance = max(largest(each * program.unit), largest(program.lost * program.unit), TINY)
     gradient, roots = each.sum(axis=0), program.roots
-    y = _times(roots, gradient[None]).reshape(*roots.shape[:2], 1)
+    y = by_roots(roots, gradient[None]).reshape(*roots.shape[:2], 1)
     z = (roots @ y).reshape(1, *none[1].shape)
     change = moved(*local.about[:2], program.along[2], none[0][1:], none[0][0], z)[1]
     room, prices, force = local.room / rows.units, local.priced(last.relaxed, dear), pushes * rows.units
@@ -289,86 +220,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     )  # fmt: skip
 
 
-def _held(local: Local, dear: float, pushes: Array, relaxed: bool) -> Array:
-    """Prices (m,) of moves across limits that push.
-
-    No move along them pays it, so what the program comes to is the same, and the Hessian is positive definite where it
-    is along the limits (Debreu, Econometrica 20, 1952).
-    """
-    rows = local.rows
-    room = local.room / rows.units
-    acting = (pushes > 0) & (local.hard & (not relaxed) | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
-    return np.where(acting, np.maximum(dear, VIOLATION_PRICE * pushes * rows.units) / rows.units**2, 0.0)
-
-
-def _program(local: Local, dear: float, on: Multipliers | None, relaxed: bool = False) -> _Program | None:
-    """Program about v = 0, None where it is not convex."""
-    A, B, gaps, first = local.about
-    rows, held = local.rows, np.zeros(len(local.room)) if on is None else _held(local, dear, on.pushes, relaxed)
-    hessian = None if on is None else on.hessian
-    try:
-        if hessian is None:
-            hessian = local.convex() if on is None else local.hessian(on)
-    except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
-        return None
-    condensed = _condensed(local, held, hessian)
-    if condensed is None:
-        return None
-    whole, gains, blocks, roots = condensed
-    along = A, B, gains, gaps, first
-    drift, lead = (part[0] for part in moved(*along, np.zeros((1, *local.inputs.shape))))
-    aims = np.where(held > 0, np.maximum(local.room, 0.0), 0.0)  # where a limit that pushes is met
-    bent = rows.pushed(-2 * held * aims, *_bent(local, whole, drift, lead))
-    slopes = [bent, *([] if local.lost is None else [local.lost])]
-    # what states cost and what inputs cost, apart
-    by_state = np.array([part for of_states, _ in slopes for part in (of_states, 0 * of_states)])
-    by_input = np.array([part for _, of_inputs in slopes for part in (0 * of_inputs, of_inputs)])
-    own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
-    left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    return _Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, on)
-
-
-def _condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, Array, Array] | None:
-    """Hessian priced across rows, gains, blocks by v and their roots.
-
-    None where blocks are not positive definite, or no numbers.
-    """
-    (A, B, _, _), whole = local.about, _priced(local, held, hessian)
-    try:
-        gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
-        blocks = 2 * deviating if local.regulated is None else _by_moves(A, B, gains, whole)
-        roots = _roots(blocks)
-    except np.linalg.LinAlgError:
-        return None
-    return (whole, gains, blocks, roots) if np.isfinite(roots).all() else None
-
-
-def _priced(local: Local, held: Array, hessian: Array) -> Array:
-    """Hessian priced across rows."""
-    near, whole = np.flatnonzero(held), hessian.copy()
-    sides = local.rows.sides[near]
-    np.add.at(whole, local.rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
-    return whole
-
-
-def _by_moves(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
-    """Hessian (1, n, n) by v."""
-    N, nx, nu = B.shape
-    n = N * nu
-    states, inputs = moved(A, B, gains, np.zeros((N, nx)), np.zeros(nx), np.eye(n).reshape(n, N, nu))
-    Z = np.concatenate([states, np.append(inputs, 0 * inputs[:, :1], axis=1)], axis=2).transpose(1, 2, 0)
-    H = Z.reshape(-1, n).T @ (hessian @ Z).reshape(-1, n)
-    return np.asarray((H + H.T) / 2)[None]
-
-
-def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Array, Array]:
-    """Slopes (N + 1, nx) and (N, nu) after moves, by a Hessian."""
-    by_both = (hessian @ both(moves, change)[:, :, None])[:, :, 0]
-    nx = moves.shape[1]
-    return local.by_state + by_both[:, :nx], local.by_input + by_both[:-1, nx:]
-
-
-def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
+def _solve(program: Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
     """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
     local = program.local
     hard = bool(np.isinf(local.prices).any())
@@ -380,12 +232,12 @@ def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
     return z, True, solved, *rows
 
 
-def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
+def _within(program: Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     """Solution as of `_solve`, with violations at a price, if finite."""
     local, rows, n = program.local, program.local.rows, len(program.by_state)
     given = np.isfinite(prices[:, 0])
     size = 1 / np.sqrt(2 * prices[given, 1])  # a violation of this size has the quadratic cost ½
-    q = np.concatenate([_times(program.roots, program.gradient[None])[0], prices[given, 0] * size])
+    q = np.concatenate([by_roots(program.roots, program.gradient[None])[0], prices[given, 0] * size])
     acting = np.where(program.held > 0, -np.inf, local.room / rows.units)
     near = np.count_nonzero(acting <= PRIMAL)
     fresh = np.argsort(acting)[: near + near // 3]
@@ -394,7 +246,7 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
     while True:
         if len(fresh):
             more = np.zeros((len(fresh), len(q)))
-            more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
+            more[:, :n] = by_roots(program.roots, rows.pulled(program.along, fresh))
             taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
             violations = np.append(np.where(given, np.cumsum(given) - 1, -1), -1)[rows.slots[taken]]
             soft = np.flatnonzero(violations >= 0)
@@ -413,23 +265,6 @@ def _within(program: _Program, prices: Array) -> tuple[Array, bool, Any, Array]:
         if not (solved and passed):
             return z, solved, taken, pushes[: len(taken)]
         fresh = np.argsort(room)[: min(max(passed, len(taken)), len(room) - len(taken))]
-
-
-def _roots(blocks: Array) -> Array:
-    """Roots T with T'HT = 1 of positive definite blocks of H (b, n/b, n/b)."""
-    diagonal = np.diagonal(blocks, axis1=1, axis2=2)
-    if not (diagonal > 0).all():
-        raise np.linalg.LinAlgError
-    unit = 1 / np.sqrt(diagonal)
-    scaled = blocks * unit[:, :, None] * unit[:, None, :]
-    lower = np.linalg.cholesky(scaled + ROUNDED_SUM * np.eye(scaled.shape[1]))
-    return np.asarray(np.linalg.inv(lower).transpose(0, 2, 1) * unit[:, :, None])
-
-
-def _times(roots: Array, rows: Array) -> Array:
-    """Rows (c, n) by y, where these are by z = Ty."""
-    blocks = rows.reshape(len(rows), *roots.shape[:2]).transpose(1, 0, 2) @ roots
-    return np.asarray(blocks.transpose(1, 0, 2).reshape(rows.shape))
 
 
 def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, Array, bool]:
