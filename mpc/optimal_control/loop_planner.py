@@ -21,7 +21,16 @@ from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs, while_newton
 from mpc.optimal_control.phase_stages import PhaseStages
-from mpc.optimal_control.planning import SHIFTED, Clock, aside, beginnings, shifted, told_of_inputs, until_most_agree
+from mpc.optimal_control.planning import (
+    SHIFTED,
+    Clock,
+    Trajectory,
+    aside,
+    beginnings,
+    shifted,
+    told_of_inputs,
+    until_most_agree,
+)
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
@@ -137,8 +146,9 @@ class LoopPlanner:
         if missing is not None:
             raise InputError(missing, "nothing", ASKED[missing], f"The phase depends on it: pass {missing}=….")
         t = as_number("t", given.get("t", loop.phase.start_time))
-        w = loop.signal(t)
-        if "w" in given:  # held over each sample
+        if "w" not in given:
+            w = loop.signal(t)
+        else:  # held over each sample
             w = as_floats("w", given["w"])
             w = np.tile(as_array("w", np.atleast_1d(w), (nw,)), (N + 1, 1)) if w.ndim <= 1 else w
             w = as_array("w", np.vstack([w, w[-1:]]) if len(w) == N else w, (N + 1, nw))
@@ -232,8 +242,9 @@ class LoopPlanner:
             if least.status in RANKS[2:] and not clock.late:
                 tried.append(solved(least.found.v, PRICE**2))
                 least = min(tried, key=lambda one: one.rank)
-            if (least.status in RANKS[2:] or least.cost > self._held(x, given)) and not clock.up:
-                tried += self._from_starts(run, self._sized(x, given), x, given, clock)
+            along = self._led_to(x, self._guess[1], given)
+            if (least.status in RANKS[2:] or self._dearer(least, x, given, along)) and not clock.up:
+                tried += self._from_starts(run, self._sized(x, given, along), x, given, clock)
         best = min(tried, key=lambda one: one.rank)
         bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
         if best.status in RANKS[2:] and not bounded and any(run.falls(one.found) for one in tried):
@@ -291,7 +302,7 @@ class LoopPlanner:
         over, relative = at.passed
         return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)), at)
 
-    def _trajectory(self, v: Array) -> tuple[Array, Array]:
+    def _trajectory(self, v: Array) -> Trajectory:
         """States (N + 1, nx) and inputs (N, nu) of unknowns."""
         nodes, own, _, _ = self.loop.program.parts[0].unknowns(v)
         return finite(nodes[: self.loop.phase.states].T.copy()), own.T.copy()
@@ -305,16 +316,16 @@ class LoopPlanner:
         part = program.parts[0]
         return np.asarray(program.scale[part.first + part.layout.nx :][: self.loop.phase.inputs])
 
-    def _guesses(self, x: Array, given: Given, program: NonlinearProgram) -> Iterator[tuple[Array, Array]]:
+    def _guesses(self, x: Array, given: Given, program: NonlinearProgram) -> Iterator[Trajectory]:
         """States and inputs of the starts: the phase's guess, else the state held; straight to its end; by chance."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
-        states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
+        states, inputs = self._guess
         size, middle = self._input_sizes(program), np.clip(inputs[0], *phase.u_bounds)
         box = np.maximum(phase.u_bounds[0], middle - size), np.minimum(phase.u_bounds[1], middle + size)
-        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs[:-1], program)
+        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs, program)
         return islice(beginnings(first, x, states[-1], lambda u: self._led_to(x, u, given), rng, box), self.starts)
 
-    def _led_to(self, x: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
+    def _led_to(self, x: Array, inputs: Array, given: Given) -> Trajectory:
         """States (N + 1, nx) that inputs lead to, finite, and these."""
         states = np.tile(x, (len(inputs) + 1, 1))
         for k, u in enumerate(inputs):
@@ -341,20 +352,25 @@ class LoopPlanner:
         own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
         return until_most_agree(own, self.starts, lambda one: one.sure)
 
-    def _held(self, x: Array, given: Given) -> float:
-        """Twice the cost of the inputs of the guess, infinite beyond limits."""
-        inputs = first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon))[1]
-        at = self._local(x, given, *self._led_to(x, inputs, given))
-        size = max(abs(at.cost()), COST_ROUNDING * at.cost_size)
-        return at.cost() + size if at.passed[1] <= FEASIBLE else np.inf
+    @cached_property
+    def _guess(self) -> Trajectory:
+        """States and inputs of the phase's guess."""
+        states, inputs = first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon + 1))
+        return states, inputs[:-1]
 
-    def _sized(self, x: Array, given: Given) -> NonlinearProgram:
+    def _dearer(self, one: _Tried, x: Array, given: Given, along: Trajectory) -> bool:
+        """Whether a result costs twice as much as a trajectory within limits."""
+        at = self._local(x, given, *along)
+        size = max(abs(at.cost()), COST_ROUNDING * at.cost_size)
+        return at.passed[1] <= FEASIBLE and one.cost > at.cost() + size
+
+    def _sized(self, x: Array, given: Given, along: Trajectory) -> NonlinearProgram:
         """Program of one sample, of sizes that loose bounds do not tell.
 
-        Beside the cost of inputs of such a size that of its guess, moved by what it passes limits, is not negligible.
+        Beside the cost of inputs of such sizes that of a trajectory, moved by what it passes limits, is not negligible.
         """
-        program, inputs = self._sample(x, given), first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon))[1]
-        told, at = self._input_sizes(program), partial(self._local, x, given, self._led_to(x, inputs, given)[0])
+        program, (states, inputs) = self._sample(x, given), along
+        told, at = self._input_sizes(program), partial(self._local, x, given, states)
         size, cost = told.copy(), abs(at(inputs + at(inputs).passed[1] * told).cost())
         for i, one in enumerate(np.eye(len(size))):
             while NEGLIGIBLE * at(inputs + size * one).cost() > cost and size[i] > NEGLIGIBLE * told[i]:
@@ -375,8 +391,7 @@ class LoopPlanner:
         found = Plan(inputs, states, best.cost, best.status, best.found.residuals, best.violation, 0.0, "Ipopt")
         if found.status is not Status.REPLACED:
             return found
-        guess = first_guess(self.loop.phase)(np.linspace(0, 1, len(inputs) + 1))[1][:-1]
-        name, other = ("guess", guess) if before is None else (SHIFTED, before.inputs)
+        name, other = ("guess", self._guess[1]) if before is None else (SHIFTED, before.inputs)
         plans = []
         for plan in (replace(found, inputs=other, solver=name), replace(found, status=Status.INACCURATE)):
             inputs = plan.inputs
