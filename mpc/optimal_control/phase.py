@@ -163,10 +163,11 @@ class Phase:
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
         for name, (sizes, rows) in _columns(self, width, 0, looped=True).items():
             given = getattr(self, name)
-            asked = () if given is None else wanted(name, given, tuple(sizes))
+            stated = given is not None or name == "dynamics"
+            asked = wanted(name, given, tuple(sizes)) if stated else ()
             if "p" in asked or ("w" in asked and callable(self.signal)):
                 continue
-            function = None if given is None else compiled(name, given, sizes, rows)
+            function = compiled(name, given, sizes, rows) if stated else None
             if name == "algebraic" and function is not None:
                 _check_index(self, function)
             if name in LIMITED:
