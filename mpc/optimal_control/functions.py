@@ -48,7 +48,7 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
     expected = f"a function of {told} (any of them) that returns a CasADi expression"
     arguments = [columns[name] for name in own]
     if not isinstance(given, ca.Function):
-        arguments = [_Named(column, name) if column.is_empty() else column for name, column in zip(own, arguments)]
+        arguments = [_Named(name) if column.is_empty() else column for name, column in zip(own, arguments)]
     try:
         value = given(*arguments)
     except InputError:
@@ -97,15 +97,17 @@ def symbols_of(function: ca.Function) -> dict[str, Any]:
 class _Named:
     """Placeholder of a missing column; any use raises with its name."""
 
-    def __init__(self, column: Any, name: str) -> None:
-        self.column = column
+    def __init__(self, name: str) -> None:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
         raise AttributeError(f"there is no {self._name} in this problem")
 
-    def __getitem__(self, index: Any) -> Any:
+    def _used(self, *_: Any) -> Any:
         raise IndexError(f"there is no {self._name} in this problem")
+
+    __getitem__ = __pos__ = __neg__ = __abs__ = __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _used
+    __truediv__ = __rtruediv__ = __pow__ = __rpow__ = __matmul__ = __rmatmul__ = _used
 
 
 def wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -209,9 +209,17 @@ def test_an_error_within_a_function_tells_its_line():
         Phase(**(GOOD | {"dynamics": lambda x, u: ca.vertcat(x[9], u)}))
 
 
-def test_a_parameter_that_the_problem_lacks_is_named():
+@pytest.mark.parametrize(
+    "use", [lambda p: p, lambda p: -p, abs, lambda p: 2**p, lambda p: p[0], lambda p: p[0:2], ca.sin, lambda p: p.T],
+    ids=["itself", "less", "size", "power", "entry", "part", "sine", "turned"],
+)  # fmt: skip
+def test_a_column_that_the_problem_lacks_is_named(use):
     with pytest.raises(InputError, match="no p in this problem"):
-        build(Phase(**(GOOD | {"dynamics": lambda x, u, p: ca.vertcat(x[1], u * p)})))
+        build(Phase(**(GOOD | {"dynamics": lambda x, u, p: ca.vertcat(x[1], u * use(p))})))
+    with pytest.raises(InputError, match="no w in this problem"):
+        Phase(**(GOOD | {"dynamics": lambda x, u, w: ca.vertcat(x[1], u * use(w))}))
+    with pytest.raises(InputError, match="no u in this problem"):
+        Phase(**(GOOD | {"inputs": 0, "stage_cost": lambda u: use(u)}))
 
 
 def test_a_python_function_may_contain_a_table():
