@@ -64,7 +64,7 @@ def as_prices(value: Any, size: int) -> Array:
     return np.where(hard, INF, given)
 
 
-def check_within(name: str, value: Array, limits: str, within: tuple[Array, Array]) -> None:
+def check_within(name: str, value: Any, limits: str, within: tuple[Any, Any]) -> None:
     """Raise where numbers are beyond their limits, by more than rounding."""
     low, high = within
     if (np.maximum(low - value, value - high) > ROUNDED_SUM * np.abs(value)).any():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.algebraic import check_index
-from ccdtools_ground.door import as_number, as_positive
+from ccdtools_ground.door import as_number
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import (
@@ -25,6 +25,7 @@ from mpc.optimal_control.bounds import (
     as_names,
     as_prices,
     as_samples,
+    check_within,
 )
 from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, symbols_of, wanted
 
@@ -144,7 +145,7 @@ class Phase:
         for name, letter, size in (("state_names", "x", self.states), ("input_names", "u", self.inputs)):
             set_(self, name, as_names(name, getattr(self, name), letter, size))
         if self.duration_guess is not None:
-            as_positive("duration_guess", self.duration_guess)
+            check_within("duration_guess", as_number("duration_guess", self.duration_guess), "duration", self.duration)
         if self.signal is not None and not callable(self.signal):
             signal = as_array("signal", self.signal, (None, None))
             if len(signal) < 2:

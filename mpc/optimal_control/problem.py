@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import as_choice, as_number, as_vector
 from mpc.checks import Array, as_array
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, middle
+from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, check_within, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
@@ -115,7 +115,9 @@ class OptimalControlProblem:
         low, high = self.p_bounds
         if self.p_guess is None:
             return np.asarray(np.clip(np.nan_to_num(middle(low, high)), low, high))
-        return np.asarray(np.clip(as_vector("p_guess", self.p_guess, len(low)), low, high))
+        guess = as_vector("p_guess", self.p_guess, len(low))
+        check_within("p_guess", guess, "p_bounds", self.p_bounds)
+        return np.asarray(np.clip(guess, low, high))
 
     @property
     def parameters(self) -> int:
