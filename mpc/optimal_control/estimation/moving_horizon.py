@@ -59,6 +59,24 @@ class MovingHorizonBelief:
     windows: tuple[Window, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class MovingHorizonEstimates:
+    """Estimates along a record of n runs and T samples.
+
+    Attributes
+    ----------
+    means, covariances : (n, T, nx) and (n, T, nx, nx) arrays
+    parameters : (n, T, np) array
+    status : list of tuples of WindowStatus
+        What each sample came to, of each run.
+    """
+
+    means: Array
+    covariances: Array
+    parameters: Array
+    status: list[tuple[WindowStatus, ...]]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class MovingHorizonEstimator:
     """Most likely states and parameters over the last samples, within limits.
@@ -252,6 +270,23 @@ class MovingHorizonEstimator:
             raise InputError("y", got, f"({len(belief.windows)}, {self.ny}), finite, NaN where there is none")
         return self._belief([self._updated(*row) for row in zip(belief.windows, belief.status, outputs, inputs)])
 
+    def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> MovingHorizonEstimates:
+        """Estimates along outputs ([n,] T, ny), or NaN, and inputs ([n,] T, nu).
+
+        ``inputs[k]`` is held from sample k to k + 1; before the first the input is 0.
+        """
+        y, u = _runs("outputs", outputs, self.ny), _runs("inputs", inputs, self.nu)
+        if u.shape[:2] != y.shape[:2]:
+            raise InputError("inputs", f"shape {u.shape}", f"{(*y.shape[:2], self.nu)}, as many as outputs")
+        last = np.zeros((len(y), self.nu))
+        beliefs = [self.update(self.start(len(y)), y[:, 0], last)]
+        for k in range(1, y.shape[1]):
+            beliefs.append(self.update(self.predict(beliefs[-1], u[:, k - 1]), y[:, k], u[:, k - 1]))
+        means, covariances, parameters = (
+            np.stack([getattr(one, name) for one in beliefs], axis=1) for name in ("mean", "covariance", "parameters")
+        )
+        return MovingHorizonEstimates(means, covariances, parameters, [one.status for one in beliefs])
+
     def _inputs_of(self, belief: MovingHorizonBelief, u: ArrayLike, *, ahead: int) -> Array:
         """Inputs (n, nu), for states that many samples ahead of outputs."""
         if not isinstance(belief, MovingHorizonBelief):
@@ -287,3 +322,13 @@ class MovingHorizonEstimator:
         windows, status = zip(*runs)
         z, P = (np.stack(part) for part in zip(*((window.course[-1], window.last) for window in windows)))
         return MovingHorizonBelief(z[:, :nx], P[:, :nx, :nx], z[:, nx:], status, windows)
+
+
+def _runs(name: str, value: ArrayLike, size: int) -> Array:
+    """Record (n, T, size), also of one run (T, size), or (T,) if size 1."""
+    array = as_floats(name, value)
+    array = array[:, None] if array.ndim == size == 1 else array
+    array = array[None] if array.ndim == 2 else array
+    if array.ndim != 3 or array.shape[2] != size or 0 in array.shape[:2]:
+        raise InputError(name, f"shape {np.shape(value)}", f"([n,] T, {size})")
+    return array

@@ -219,3 +219,37 @@ def test_noises_that_are_one_but_for_rounding_have_no_covariance(apart, regular)
     V = [[1, 1 - apart], [1 - apart, 1]]
     with nullcontext() if regular else pytest.raises(InputError, match="singular"):
         MovingHorizonEstimator(lambda x, w: x + w, lambda x: [x, 2 * x], 1, 0, **(WALK | {"V": V}))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6])
+def test_a_record_is_filtered_as_sample_by_sample(unit):
+    rng = np.random.default_rng(0)
+    y, u = unit * rng.normal(size=(2, 6, 1)), rng.normal(size=(2, 6, 1))
+    y[0, 3] = np.nan
+    estimator = MovingHorizonEstimator(
+        lambda x, u, w, p: 0.9 * x + unit * p * u + w, lambda x: x, 1, 1, window=3, W=[unit**2], V=[unit**2],
+        P0=[unit**2], p=[0.5], P_p=[1.0], p_bounds=(0, 1),
+    )  # fmt: skip
+    found, belief = estimator.filter(y, u), estimator.start(2)
+    for k in range(6):
+        before = u[:, k - 1] if k else np.zeros((2, 1))
+        belief = estimator.update(estimator.predict(belief, before) if k else belief, y[:, k], before)
+        np.testing.assert_array_equal(found.means[:, k], belief.mean)
+        np.testing.assert_array_equal(found.covariances[:, k], belief.covariance)
+        np.testing.assert_array_equal(found.parameters[:, k], belief.parameters)
+        assert found.status[k] == belief.status
+    np.testing.assert_array_equal(estimator.filter(y[1, :, 0], u[1, :, 0]).means, found.means[1:])
+
+
+def test_along_a_linear_record_it_is_the_kalman_filter():
+    y, u = np.random.default_rng(1).normal(size=(2, 8))
+    known = KalmanFilter([[0.9]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], steady=False, P0=[[1.0]]).filter(y, u)
+    found = MovingHorizonEstimator(lambda x, u, w: 0.9 * x + u + w, lambda x: x, 1, 1, **WALK).filter(y, u)
+    np.testing.assert_allclose(found.means, known.means, atol=1e-9)
+
+
+@pytest.mark.parametrize(("y", "u", "name"), [(np.zeros((4, 2)), np.zeros(4), "outputs"), (np.zeros(4), 0.0, "inputs"),
+                                              (np.zeros(4), np.zeros(3), "inputs")])  # fmt: skip
+def test_records_that_do_not_fit_are_named(y, u, name):
+    with pytest.raises(InputError, match=f"^{name}: got shape"):
+        MovingHorizonEstimator(lambda x, u, w: x + u + w, lambda x: x, 1, 1, **WALK).filter(y, u)
