@@ -69,7 +69,7 @@ class Phase:
         Of both ends of the phase; values that are kept within `boundary_bounds`: = 0 by default.
     boundary_bounds : (lower, upper)
     signal : function of t, or (n, nw) array, optional
-        The given signal w: a Python function of times (n,) that returns (n, nw), for a phase whose times are given; or
+        The given signal w of a phase whose duration is given: a Python function of times (n,) that returns (n, nw); or
         values at equal distances from its start to its end, linear between them.
     guess : (times, x, u), optional
         Where to start from: states (n, nx) and inputs (n, nu) at n rising times, as fractions of the duration.
