@@ -95,7 +95,8 @@ REFINED_ROW = ROUNDED_SUM / PRIMAL
 # rounded; and the largest such unit, in units of the bounds [-]
 EXCLUDED = PRIMAL / ROUNDED_SUM
 # Distance of the unconstrained optimum from the bounds, in units of their size, beyond which rounding decides which
-# rows hold with equality and which lie in front of others [-]: the problem is a linear program but for its last digits
+# rows hold with equality and which lie in front of others [-]: the problem is a linear program but for its last digits;
+# distance of an optimal trajectory from its guess, in their sizes, beyond which it is looked for farther still
 FAR_OPTIMUM = 1e8
 # Largest slack of a row over a set without interior below which the row holds with equality [-]
 IMPLIED_EQUALITY = 1e-8

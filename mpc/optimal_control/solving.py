@@ -33,7 +33,7 @@ from mpc.optimal_control.program import (
 from mpc.optimal_control.solution import Ends, OptimalControlStatus, Solution, alike, merged
 from mpc.optimal_control.starts import as_starts, promising, with_guess, without_limits
 from mpc.optimal_control.transcription import build
-from mpc.tolerances import BOTTOMLESS, COARSE_MESH, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SIZED
+from mpc.tolerances import BOTTOMLESS, COARSE_MESH, COST_ROUNDING, FAR_OPTIMUM, FEASIBLE, OPTIMAL, WELL_SIZED
 
 SAID = {
     "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,
@@ -180,7 +180,7 @@ class Run:
     """Solver calls of one solve, within one time limit."""
 
     def __init__(self, program: NonlinearProgram, settings: Settings, clock: Clock) -> None:
-        self.program = program
+        self.program = self.first = program
         self.settings = settings
         self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
         self.clock = clock
@@ -252,7 +252,10 @@ class Run:
     def judged(self, found: Found) -> Solution:
         """Solution from the solver's answer, its status confirmed."""
         status = status_of(found)
-        if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self.falls(found):
+        endless = status is not OptimalControlStatus.UNDEFINED and self.falls(found)
+        if status is OptimalControlStatus.SOLVED:
+            found, endless = self._farthest(found)
+        if endless:
             status = OptimalControlStatus.UNBOUNDED
         conflicts: tuple[str, ...] = ()
         if status is OptimalControlStatus.INFEASIBLE:
@@ -271,6 +274,25 @@ class Run:
         """Whether the cost fell without end."""
         first, last = (float(self.program.derivatives.values(v)[0]) for v in (self.program.guess, found.v))
         return last < -BOTTOMLESS * max(1.0, abs(first)) or (found.said == ENDLESS and last < first)
+
+    def _farthest(self, found: Found) -> tuple[Found, bool]:
+        """Optimum looked for farther still where it is very far, and whether the cost falls on."""
+        first = self.first
+        for _ in range(3):
+            away = found.v - first.guess
+            if np.abs(away / first.scale).max(initial=0.0) <= FAR_OPTIMUM:
+                return found, False
+            start = np.clip(first.guess + WELL_SIZED * away, first.lower, first.upper)
+            sized = rescaled(self.program, start, centred=True)
+            other, cost = once(sized, start, None, self.left(warm=True)), self.cost(found)
+            self.iterations += other.iterations
+            lower = self.cost(other) < cost - COST_ROUNDING * max(abs(cost), self.cost_size)
+            if not lower or not (other.residuals.primal <= FEASIBLE or other.said == ENDLESS):
+                return found, False
+            if status_of(other) is not OptimalControlStatus.SOLVED:
+                break
+            self.program, found = sized, other
+        return found, True
 
     def _confirmed(self, found: Found) -> tuple[Found, OptimalControlStatus, tuple[str, ...]]:
         """Verdict of infeasibility checked from several starts.

@@ -128,6 +128,36 @@ def test_an_optimum_that_is_very_far_away_is_none(far, found):
     assert solve(block(end=None, stage_cost=lambda u: (u / far - 1) ** 2)).status is OptimalControlStatus[found]
 
 
+SLOW = {  # costs of (x, size of states) whose slope vanishes far out, and whether they fall without end
+    "logarithm": (lambda x: -ca.log(1 + x**2), True),
+    "logarithm of a power, which overflows": (lambda x: -ca.log(1 + x**8), True),
+    "logarithm of a stock": (lambda x: -ca.log(x), True),
+    "logarithm, until a square weighs more": (lambda x: -ca.log(1 + x**2) + 1e-30 * x**2, False),
+    "logarithm, until a size weighs more": (lambda x: -ca.log(1 + x**2) + 1e-20 * ca.sqrt(1 + x**2), False),
+    "share": (lambda x: -(x**2) / (1 + x**2), False),
+    "inverse": (lambda x: 1 / x, False),
+    "square about a far place": (lambda x: (x / 1e10 - 1) ** 2, False),
+}
+
+
+@pytest.mark.parametrize(("unit", "price"), [(1, 1), (1e9, 1e-9), (1e-9, 1e9), (1, 1e9)])
+@pytest.mark.parametrize("name", SLOW)
+def test_a_cost_that_falls_slowly_without_end_is_told_from_one_with_an_end(name, unit, price):
+    cost, endless = SLOW[name]
+    saved = Phase(lambda x, u: x + u, 1, 1, terminal_cost=lambda x: price * cost(x / unit), start=[unit],
+                  discrete=True, duration=4)  # fmt: skip
+    found = OptimalControlStatus.UNBOUNDED if endless else OptimalControlStatus.SOLVED
+    assert solve(saved, max_iterations=300).status is found
+
+
+@pytest.mark.parametrize("find", [solve, refine])
+def test_a_sum_of_logarithms_is_unbounded_beside_a_term_that_nothing_moves(find):
+    # the second state of the sum is given by the start, and its slope hides those of the states far out
+    mass = Phase(lambda x, u: x + 0.1 * ca.vertcat(x[1], u), 2, 1, stage_cost=lambda x: -ca.log(1 + x[0] ** 2),
+                 start=[1, 0], discrete=True, duration=8)  # fmt: skip
+    assert find(mass).status is OptimalControlStatus.UNBOUNDED
+
+
 @pytest.mark.parametrize(("gain", "found"), [(3e11, "STOPPED"), (3e12, "UNBOUNDED")])
 def test_a_cost_that_has_fallen_very_far_is_without_end(gain, found):
     falling = block(end=None, u_bounds=(-1, 1), stage_cost=lambda u: -gain * u)
