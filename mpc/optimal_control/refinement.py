@@ -91,18 +91,17 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         run = _Rounds(options, asked, of, meshes - 1, clock, bar)
         program = build(problem, scheme, intervals)
         solution, reason, ends = run.best_of(program, starts)
+        solution, reason = run.sharpened(solution, reason)
         for seed in range(3):  # each guess on a mesh twice as fine
             if not _jumps_over(solution) or clock.late:
                 break
             halved = [np.sort(np.r_[part.mesh, (part.mesh[:-1] + part.mesh[1:]) / 2]) for part in program.parts]
             program = build(program.problem, scheme, meshes=halved)
-            run.left = meshes - 1
+            run.left = run.rounds
             moved = replace(program, guess=shaken(program, seed))
             other, ended = run.refined(run.solved(moved, None))
             if other.solved_on_mesh and (not solution.solved_on_mesh or run.missed(other) < run.missed(solution)):
-                solution, reason = other, ended
-        if solution.solved_on_mesh and not reason and _reach_bounds(solution):
-            solution = run.sharpened(solution)
+                solution, reason = run.sharpened(other, ended)
         return _ended(replace(solution, ends=ends), reason, run)
 
 
@@ -114,7 +113,7 @@ class _Rounds:
         self.tolerance = tolerance
         self.of_cost = of == "cost"
         self.dynamics = COARSE_MESH if self.of_cost else tolerance
-        self.left = left
+        self.rounds = self.left = left
         self.clock = clock
         self.bar = bar
         self.iterations = [0]
@@ -196,16 +195,21 @@ class _Rounds:
         said = f"{MESHES_WITHOUT_GAIN} times in a row a finer mesh missed as much as the one before"
         return said if still >= MESHES_WITHOUT_GAIN else ""
 
-    def sharpened(self, solution: Solution) -> Solution:
-        """Solution to a tighter solver tolerance, if that leads to one.
+    def sharpened(self, solution: Solution, reason: str) -> tuple[Solution, str]:
+        """Solution to a tighter solver tolerance where inputs reach bounds, if that leads to one.
 
-        Along a singular arc it does not: the input begins to swing.
+        Along a singular arc it does not: the input begins to swing. Limits that are passed a little may then be kept,
+        which weigh as little in the cost as intervals are short.
         """
+        a_little = LIMIT_PASSED < solution.excess <= JUMPED_LIMIT
+        if not solution.solved_on_mesh or (reason and not a_little) or not _reach_bounds(solution):
+            return solution, reason
         rounds = copy(self)
         rounds.options = self.options | {"tolerance": SHARPER * self.tolerance}
+        rounds.left = self.rounds
         rounds.most = int(1.5 * len(solution.unknowns))
-        sharp, reason = rounds.refined(rounds.solved(solution.program, solution))
-        return sharp if sharp.solved_on_mesh and not reason else solution
+        sharp, missed = rounds.refined(rounds.solved(solution.program, solution))
+        return (sharp, "") if sharp.solved_on_mesh and not missed else (solution, reason)
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
         """Solution from `start`, else from the guess."""
@@ -262,20 +266,23 @@ def _ended(solution: Solution, reason: str, run: _Rounds) -> Solution:
     found = replace(solution, iterations=run.iterations[0], solve_time=run.clock.taken)
     if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found
-    of_cost = run.of_cost and run.off(solution) / run.tolerance >= solution.mesh_error / run.dynamics
-    worst, asked = (run.off(solution), run.tolerance) if of_cost else (solution.mesh_error, run.dynamics)
-    passed = _jumps_over(solution)
-    missed = f"{reason}: the mesh misses the {'cost' if of_cost else 'dynamics'} by {worst:.1e}"
+    of_cost = (run.off(solution), run.tolerance, "misses the cost")
+    of_limits = (solution.excess, LIMIT_PASSED, "passes limits between its points")
+    each = ((solution.mesh_error, run.dynamics, "misses the dynamics"), of_limits, *([of_cost] if run.of_cost else []))
+    worst, asked, what = max(each, key=lambda one: one[0] / one[1])
+    missed = f"{reason}: the mesh {what} by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
-    digit = 10.0 ** np.floor(np.log10(worst)) if np.isfinite(worst) and worst > 0 else 1.0
+    digit = 10.0 ** np.floor(np.log10(worst)) if np.isfinite(worst) else 1.0
     ask = f"Ask for {np.ceil(worst / digit) * digit:g}{more}." if asked == run.tolerance else "Take more intervals."
-    if reason.startswith(FINER) or passed:
+    if what == of_limits[2]:
+        ask = "Keep a margin to them."
+    if reason.startswith(FINER) or solution.excess > JUMPED_LIMIT:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
     swinging = max(float(np.diff(one.part.mesh) @ _crossings(one)[1]) for one in solution.phases)
     if swinging > 0:
         ask += f" Inputs swing over {swinging:.0%} of the time, as along singular arcs: MultipleShooting() holds them."
     cure = f"This is the optimum on its mesh, but {missed} where {asked:.1e} was asked for. {ask}"
-    status = solution.status if passed else OptimalControlStatus.STOPPED
+    status = solution.status if _jumps_over(solution) else OptimalControlStatus.STOPPED
     return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
 
 

@@ -29,8 +29,8 @@ class OptimalControlStatus(Outcome):
         "between the points, too, and the mesh is fine enough for the dynamics and the cost."
     )
     LIMITS_PASSED = (
-        "An optimum on its mesh, but between the points a limit is passed. Call `refine`, take more intervals, or keep "
-        "a margin; where the trajectory jumps over an obstacle, give a guess that goes round it."
+        "An optimum on its mesh, but between the points a limit is passed. `refine` cuts intervals there; else take "
+        "more of them, or keep a margin; where the trajectory jumps over an obstacle, give a guess that goes round it."
     )
     COARSE = (
         "An optimum on its mesh, but the mesh is too coarse for what is asked. Call `refine`, or take more intervals "
