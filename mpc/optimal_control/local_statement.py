@@ -140,8 +140,9 @@ class Local:
 
     @property
     def force(self) -> float:
-        """Largest slope of the cost, in sizes."""
-        return max(largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
+        """Largest slope of the cost, in sizes, and its size without any."""
+        slopes = (largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
+        return max(slopes) or self.cost_size or 1.0
 
     @property
     def hard(self) -> Flags:

@@ -37,16 +37,7 @@ from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import (
-    BOTTOMLESS,
-    COST_ROUNDING,
-    FEASIBLE,
-    KKT,
-    NEGLIGIBLE,
-    SOLVERS,
-    VIOLATION_PRICE as PRICE,
-    WELL_SIZED,
-)
+from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, NEGLIGIBLE, SOLVERS, VIOLATION_PRICE as PRICE, WELL_SIZED
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -232,19 +223,23 @@ class LoopPlanner:
         program = self._sample(x, given)
         run = Run(program, self.settings, clock)
         tried: list[_Tried] = []
-        solved = partial(self._solved, run, program, partial(self._local, x, given))
+        solved = partial(self._solved, run, local=partial(self._local, x, given))
         if before is not None:
             v = self._unknowns(program, before.states, self._aside(before.inputs, program), given)
-            tried.append(solved(v, PRICE**2))
+            tried.append(solved(program, v, PRICE**2))
         if not tried or not (tried[0].sure or clock.up):
-            tried += self._from_starts(run, program, x, given, clock)
-            least = min(tried, key=lambda one: one.rank)
-            if least.status in RANKS[2:] and not clock.late:
-                tried.append(solved(least.found.v, PRICE**2))
-                least = min(tried, key=lambda one: one.rank)
-            along = self._led_to(x, self._guess[1], given)
-            if (least.status in RANKS[2:] or self._dearer(least, x, given, along)) and not clock.up:
-                tried += self._from_starts(run, self._sized(x, given, along), x, given, clock)
+            needed = self._needed(x, given)
+            for i, sized in enumerate(self._sized(program, needed)):
+                if i and clock.up:
+                    break
+                tried += self._from_starts(partial(solved, sized), sized, x, given, clock)
+                best = min(tried, key=lambda one: one.rank)
+                if best.status in RANKS[2:] and not clock.late:
+                    tried.append(solved(sized, best.found.v, PRICE**2))
+                    best = min(tried, key=lambda one: one.rank)
+                far = (NEGLIGIBLE**0.5 * np.abs(self._trajectory(best.found.v)[1]) > needed).any()
+                if best.status in RANKS[:2] and not far:
+                    break
         best = min(tried, key=lambda one: one.rank)
         bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
         if best.status in RANKS[2:] and not bounded and any(run.falls(one.found) for one in tried):
@@ -284,8 +279,8 @@ class LoopPlanner:
         t = given["t"] + k * self.loop.dt
         return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
 
-    def _solved(self, run: Run, program: NonlinearProgram, local: Callable[[Array, Array], Local], v: Array,
-                price: float) -> _Tried:  # fmt: skip
+    def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *,
+                local: Callable[[Array, Array], Local]) -> _Tried:  # fmt: skip
         """Result from unknowns, with limits of states at a price.
 
         The price is in sizes of cost and rows; at 0 they are hard.
@@ -344,11 +339,10 @@ class LoopPlanner:
             bounds[program.parameters] = np.concatenate([self.p, given["t"]])
         return replace(program, lower=lower, upper=upper, guess=np.clip(program.guess, lower, upper))
 
-    def _from_starts(self, run: Run, program: NonlinearProgram, x: Array, given: Given,
+    def _from_starts(self, solved: Callable[[Array, float], _Tried], program: NonlinearProgram, x: Array, given: Given,
                      clock: Clock) -> Iterator[_Tried]:  # fmt: skip
         """Results from starts, until most agree."""
         guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given, program))
-        solved = partial(self._solved, run, program, partial(self._local, x, given))
         own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
         return until_most_agree(own, self.starts, lambda one: one.sure)
 
@@ -358,24 +352,29 @@ class LoopPlanner:
         states, inputs = first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon + 1))
         return states, inputs[:-1]
 
-    def _dearer(self, one: _Tried, x: Array, given: Given, along: Trajectory) -> bool:
-        """Whether a result costs twice as much as a trajectory within limits."""
-        at = self._local(x, given, *along)
-        size = max(abs(at.cost()), COST_ROUNDING * at.cost_size)
-        return at.passed[1] <= FEASIBLE and one.cost > at.cost() + size
+    def _needed(self, x: Array, given: Given) -> Array:
+        """Inputs (nu,) of the first program from the state held, or that would cost as much by its curvature.
 
-    def _sized(self, x: Array, given: Given, along: Trajectory) -> NonlinearProgram:
-        """Program of one sample, of sizes that loose bounds do not tell.
-
-        Beside the cost of inputs of such sizes that of a trajectory, moved by what it passes limits, is not negligible.
+        Where it passes limits, of the one without them; infinite without one.
         """
-        program, (states, inputs) = self._sample(x, given), along
-        told, at = self._input_sizes(program), partial(self._local, x, given, states)
-        size, cost = told.copy(), abs(at(inputs + at(inputs).passed[1] * told).cost())
-        for i, one in enumerate(np.eye(len(size))):
-            while NEGLIGIBLE * at(inputs + size * one).cost() > cost and size[i] > NEGLIGIBLE * told[i]:
-                size[i] /= WELL_SIZED
-        return program if (size == told).all() else replace(program, scale=self.loop.scale(program, (-size, size)))
+        inputs = self._guess[1]
+        held = self._local(x, given, np.tile(x, (len(inputs) + 1, 1)), inputs)
+        for one in (held, replace(held, room=np.full(len(held.room), np.inf))):
+            step = next_step(one, PRICE * one.force, times=PRICE)
+            if step is not None and not step.relaxed and np.isfinite(step.inputs).all():
+                alike = np.sqrt(2 * abs(held.cost())) * step.program.unit.reshape(inputs.shape)
+                return np.asarray(np.maximum(np.abs(inputs + step.inputs), alike).max(axis=0))
+        return np.full(inputs.shape[1], np.inf)
+
+    def _sized(self, program: NonlinearProgram, needed: Array) -> list[NonlinearProgram]:
+        """Itself, and one of the sizes that are needed, first where bounds are loose."""
+        told = self._input_sizes(program)
+        size = np.where(told > WELL_SIZED * needed, np.maximum(needed, NEGLIGIBLE * told), told)
+        if (size == told).all():
+            return [program]
+        sized = replace(program, scale=self.loop.scale(program, (-size, size)))
+        loose = (needed > 0) & (NEGLIGIBLE**0.5 * told > needed)
+        return [sized, program] if loose.any() else [program, sized]
 
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
         """Unknowns of a plan, without violations."""
