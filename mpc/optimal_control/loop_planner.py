@@ -353,7 +353,7 @@ class LoopPlanner:
         return states, inputs[:-1]
 
     def _needed(self, x: Array, given: Given) -> Array:
-        """Inputs (nu,) of the first program from the state held, or that would cost as much by its curvature.
+        """Inputs (nu,) of the first program from the state held, or one that would cost as much by its curvature.
 
         Where it passes limits, of the one without them; infinite without one.
         """
@@ -363,7 +363,7 @@ class LoopPlanner:
             step = next_step(one, PRICE * one.force, times=PRICE)
             if step is not None and not step.relaxed and np.isfinite(step.inputs).all():
                 alike = np.sqrt(2 * abs(held.cost())) * step.program.unit.reshape(inputs.shape)
-                return np.asarray(np.maximum(np.abs(inputs + step.inputs), alike).max(axis=0))
+                return np.asarray(np.maximum(np.abs(inputs + step.inputs).max(axis=0), alike.min(axis=0)))
         return np.full(inputs.shape[1], np.inf)
 
     def _sized(self, program: NonlinearProgram, needed: Array) -> list[NonlinearProgram]:

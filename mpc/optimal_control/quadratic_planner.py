@@ -53,7 +53,6 @@ class _Sample:
     dear: float
     clock: Clock
     far: bool  # whether a first path costs more than that
-    known: bool  # whether it is an optimum of the sample before, and no dearer
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +123,7 @@ class QuadraticPlanner:
             cost = cost_of(self.law, first.inputs, first.states, given)
             size = max(min(cost, most), TINY)
             dear = VIOLATION_PRICE * size
-            known = before is not None and before.status is Status.SOLVED and cost <= before.cost
-            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear, known)
+            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
             found = clock.stamped(self._found(sample))
             # one that is no dearer than the plan before will do (Scokaert, Mayne and Rawlings, 1999)
             does = found.status is Status.FOLLOWED and self._total(found, given, dear) <= cost
@@ -156,9 +154,7 @@ class QuadraticPlanner:
             cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
             found = self._plan(sample, done[-1].moved, status)
-            last = done[-1].last  # to look along limits of changes takes ten times as long as the iteration
-            looked = sample.known or last is None or last.changes_pushed
-            at_saddle = not looked and done[-1].solved and done[-1].falls
+            at_saddle = done[-1].solved and done[-1].falls
             if not (at_saddle or found.status is Status.SOFTENED):  # beyond hard limits there may be nothing to follow
                 return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
         at = replace(first, name=CONVERGING, last=None)
@@ -186,7 +182,7 @@ class QuadraticPlanner:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
         path = self._followed(sample.x, at, sample.given)
         cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
-        optimum = at.solved and (at.name == REAL_TIME or not at.falls) and self._kept(path, at, cost, sample.given)
+        optimum = at.solved and not at.falls and self._kept(path, at, cost, sample.given)
         status = Status.SOLVED if optimum else otherwise
         residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
         if at.last is not None:

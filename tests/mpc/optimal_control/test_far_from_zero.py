@@ -203,6 +203,69 @@ def test_loose_bounds_of_inputs_that_cost_something_change_no_plan_of_a_loop(cas
     assert plan.cost == pytest.approx(best, rel=1e-6, abs=1e-12)
 
 
+def cubic(x, u):
+    return x + x**3 + u
+
+
+def reactor(x, u):
+    rate = (1 - x[0]) * (ca.exp(5 * x[1]) - 1)
+    return V(0.1 * rate - x[0], 0.3 * rate - x[1] + u)
+
+
+def radiating(x, u):
+    return V(-0.5 * x[0] + 0.5 * x[1] + u[0], 0.5 * x[0] - x[1] - 0.01 * ((1 + x[1]) ** 4 - 1) + u[1])
+
+
+def pole(x, u):
+    s, c = ca.sin(x[2]), ca.cos(x[2])
+    along = (u + 0.1 * x[3] ** 2 * s - 1.962 * s * c) / (1 + 0.2 * s**2)
+    return V(x[1], along, x[3], (9.81 * s - along * c) / 0.5)
+
+
+def dragged(x, u):
+    return V(x[1], u - 0.2 * x[1] * ca.sqrt(x[1] ** 2 + 0.01))
+
+
+ESCAPING = {  # inputs of a loose bound, or none, lead out of the numbers; optima by a plain script
+    "cubic": (cubic, [0.7], 1, 3.0, 30, {}, 0.229640138),
+    "reactor": (reactor, [0.1, 0.4], 1, 3.0, 30, {}, 0.10877486),
+    "radiating": (radiating, [0.3, -0.3], 2, 0.9, 9, {}, 0.039074014),
+    "pole": (pole, [0.1, 0, 0.3, 0], 1, 3.0, 40, {}, 2.72289641),
+    "pole, end": (pole, [0.1, 0, 0.3, 0], 1, 3.0, 40, {"end": [0, 0, 0, 0]}, 2.80430219),
+    "dragged, wall": (dragged, [0.0, 1.0], 1, 2.0, 20, {"path": lambda x: x[0] - 0.05}, 1.01698602),
+}
+
+
+@pytest.mark.parametrize("loose", [1e2, 1e4, 1e5, 3e6, 1e8])
+@pytest.mark.parametrize("case", ESCAPING)
+def test_loose_bounds_change_no_loop_whose_inputs_escape_or_pass_limits(case, loose):
+    """They were REPLACED for ever, or SOLVED at states of 1e15, and took seconds: sizes were told by what escaped."""
+    rate, x, inputs, duration, N, limits, best = ESCAPING[case]
+    law = NonlinearMPC(
+        Phase(
+            rate, len(x), inputs, duration=duration, u_bounds=(-loose, loose), **limits,
+            stage_cost=lambda x, u: ca.sumsqr(x) + 0.1 * ca.sumsqr(u), terminal_cost=lambda x: 10 * ca.sumsqr(x),
+        ),
+        horizon=N,
+    )  # fmt: skip
+    plan = law.solve(x)
+    assert plan.status.name == "SOLVED"
+    assert plan.cost == pytest.approx(best, rel=1e-6)
+
+
+@pytest.mark.parametrize("loose", [1e2, 1e8])
+def test_inputs_that_cost_nothing_are_no_larger_than_is_needed(loose):
+    """In loose bounds they were 2e6, whose states followed the model to 1e7 alone."""
+    step = lambda x, u: x + 0.1 * dragged(x, u)  # noqa: E731
+    phase = Phase(step, 2, 1, discrete=True, duration=12, u_bounds=(-loose, loose),
+                  terminal_cost=lambda x: 10 * ca.sumsqr(x))  # fmt: skip
+    plan, x = NonlinearMPC(phase).solve([1, 0]), ca.DM([1, 0])
+    for u in plan.inputs:
+        x = step(x, ca.DM(u))
+    assert plan.status.name == "SOLVED"
+    assert np.allclose(x.full().ravel(), 0, atol=1e-6)
+
+
 @pytest.mark.parametrize("loose", [1, 1e8])
 def test_a_plan_in_loose_bounds_costs_what_its_inputs_cost_after_a_kick(loose):
     def price(x, u):

@@ -46,6 +46,17 @@ def test_a_real_time_iteration_stays_at_no_saddle(step, sizes, stated, limit, x_
     assert controller.last_plans[0].cost < 1.5 * controller.solve(before, x_ref=x_ref).cost
 
 
+@pytest.mark.parametrize("height", [0.1, 0.5, 2.0])
+def test_a_reference_that_makes_a_saddle_while_the_cost_falls_is_no_trap(height):
+    """Real-time iterations were SOLVED there for ever: no cost rose, as another state still came to rest."""
+    step = lambda x, u: ca.vertcat(0.95 * x[0] + 0.1 * u[0], x[1] + 0.1 * u[1], x[1] ** 2)  # noqa: E731
+    law, x = NonlinearMPC(step, 3, 2, iterations=1, Q=[1, 0.01, 10], R=[1, 1], horizon=20, U=(-500, 500)), [50.0, 0, 0]
+    for k in range(30):
+        u = law(x, x_ref=[0, 0, 0 if k < 5 else height])
+        x = np.asarray(step(ca.DM(x), ca.DM(u))).ravel()
+    assert x[2] == pytest.approx(height, rel=0.1)
+
+
 @pytest.mark.parametrize("units", [(1.0, 1e6, 1.0), (2e3, 1.0, 1.0), (1e-6, 57.3, 1e3)])
 def test_without_limits_of_states_units_change_nothing(units):
     """A state that no input moves at once had the size 1: after the jump 64.5 was SOLVED in µrad, 2.80 in radians."""
