@@ -30,7 +30,7 @@ def test_what_a_sensor_missed_tells_nothing():
 
 @pytest.mark.parametrize(
     ("law", "lost", "status"),
-    [("sees all", 0.1, "ANSWERED"), ("sees all", 0.02, "ANSWERED"), ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"),
+    [pytest.param("sees all", 0.1, "ANSWERED", marks=pytest.mark.check), ("sees all", 0.02, "ANSWERED"), ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"),
      ("holds", 0.05, "SOLVED"), ("pulses", 0.1, "SOLVED"), ("pulses", 0.01, "SOLVED")],
 )  # fmt: skip
 def test_inputs_that_answered_outputs_that_the_log_lost_are_told(law, lost, status):
@@ -42,7 +42,13 @@ def test_inputs_that_answered_outputs_that_the_log_lost_are_told(law, lost, stat
 
 @pytest.mark.parametrize(("law", "status"), [("sees all", "ANSWERED"), ("as told", "SOLVED"), ("holds", "SOLVED")])
 @pytest.mark.parametrize(
-    "every", [2, pytest.param(3, marks=pytest.mark.long), 4, pytest.param(6, marks=pytest.mark.long)]
+    "every",
+    [
+        pytest.param(2, marks=pytest.mark.check),
+        pytest.param(3, marks=pytest.mark.long),
+        4,
+        pytest.param(6, marks=pytest.mark.long),
+    ],
 )
 def test_they_are_told_where_outputs_are_told_seldom(law, status, every):
     found = fit_plant(stated(), with_gaps(law, 0.0, 303, every=every))

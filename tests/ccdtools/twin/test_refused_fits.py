@@ -40,6 +40,7 @@ def test_a_log_that_cannot_be_meant_is_named(log, change, words):
         fit_plant(stated(), OutputLog(**columns))
 
 
+@pytest.mark.check
 def test_inputs_in_other_units_are_told(log):
     with pytest.warns(LimitWarning, match="inputs lie outside U"):
         fit_plant(stated(), OutputLog(log.outputs, 1e3 * log.inputs, P))

@@ -24,6 +24,7 @@ from mpc.optimal_control import (
 )
 
 RADIUS = 0.3
+CVODES = pytest.param(MultipleShooting(integrator="cvodes"), marks=pytest.mark.check)
 
 
 def past_a_disc(unit=1.0, origin=0.0):
@@ -79,7 +80,7 @@ def test_a_bound_of_a_state_that_is_passed_between_the_points_is_told():
     assert refine(slow).solved
 
 
-@pytest.mark.parametrize("scheme", [MultipleShooting(40), MultipleShooting(integrator="cvodes")])
+@pytest.mark.parametrize("scheme", [MultipleShooting(40), CVODES])
 def test_a_swing_within_the_intervals_of_shooting_is_seen(scheme):
     # a load on a base, of period 1 where intervals take about as long
     along = Phase(
@@ -96,6 +97,7 @@ def test_a_swing_within_the_intervals_of_shooting_is_seen(scheme):
     assert apart < 1e-2
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("row", [531, 537, 544])
 def test_a_limit_that_dips_at_one_row_of_a_table_is_kept_there(row):
     table = np.ones((1001, 1))
@@ -120,7 +122,7 @@ def test_a_table_hides_no_obstacle_between_its_rows():
         assert through.status is OptimalControlStatus.LIMITS_PASSED
 
 
-@pytest.mark.parametrize("scheme", [MultipleShooting(4), MultipleShooting(integrator="cvodes")])
+@pytest.mark.parametrize("scheme", [MultipleShooting(4), CVODES])
 def test_a_spike_between_the_steps_of_shooting_is_met_or_said(scheme):
     table = np.zeros((1001, 1))
     table[333] = 50.0

@@ -27,6 +27,7 @@ def test_a_run_has_the_table_after_each_generation(stored):
     assert len(first["report"]) == len(first["rows"])
 
 
+@pytest.mark.check
 def test_no_policy_is_driven_twice_in_one_place(stored, monkeypatch):
     place = stored("spring", run_spring)
     study = load_study(place / "spring.py")
