@@ -30,8 +30,9 @@ def test_what_a_sensor_missed_tells_nothing():
 
 @pytest.mark.parametrize(
     ("law", "lost", "status"),
-    [pytest.param("sees all", 0.1, "ANSWERED", marks=pytest.mark.check), ("sees all", 0.02, "ANSWERED"), ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"),
-     ("holds", 0.05, "SOLVED"), ("pulses", 0.1, "SOLVED"), ("pulses", 0.01, "SOLVED")],
+    [pytest.param("sees all", 0.1, "ANSWERED", marks=pytest.mark.check), ("sees all", 0.02, "ANSWERED"),
+     ("as told", 0.1, "SOLVED"), ("open", 0.1, "SOLVED"), ("holds", 0.05, "SOLVED"), ("pulses", 0.1, "SOLVED"),
+     ("pulses", 0.01, "SOLVED")],
 )  # fmt: skip
 def test_inputs_that_answered_outputs_that_the_log_lost_are_told(law, lost, status):
     found = fit_plant(stated(), with_gaps(law, lost, 3))
