@@ -37,7 +37,16 @@ from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import BOTTOMLESS, FEASIBLE, KKT, NEGLIGIBLE, SOLVERS, VIOLATION_PRICE as PRICE, WELL_SIZED
+from mpc.tolerances import (
+    BOTTOMLESS,
+    COST_ROUNDING,
+    FEASIBLE,
+    KKT,
+    NEGLIGIBLE,
+    SOLVERS,
+    VIOLATION_PRICE as PRICE,
+    WELL_SIZED,
+)
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -220,7 +229,7 @@ class LoopPlanner:
 
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
-        needed = self._needed(x, given)
+        needed, expected = self._expected(x, given)
         programs = self._sized(self._sample(x, given), needed)
         run = Run(programs[0], self.settings, clock)
         tried: list[_Tried] = []
@@ -237,8 +246,7 @@ class LoopPlanner:
                 if best.status in RANKS[2:] and not clock.late:
                     tried.append(solved(sized, best.found.v, PRICE**2))
                     best = min(tried, key=lambda one: one.rank)
-                far = (NEGLIGIBLE**0.5 * np.abs(self._trajectory(best.found.v)[1]) > needed).any()
-                if best.status in RANKS[:2] and not far:
+                if best.status in RANKS[:2] and not best.cost > expected:
                     break
         best = min(tried, key=lambda one: one.rank)
         bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
@@ -315,7 +323,7 @@ class LoopPlanner:
         """States and inputs of the starts: the phase's guess, else the state held; straight to its end; by chance."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = self._guess
-        size, middle = self._input_sizes(program), np.clip(inputs[0], *phase.u_bounds)
+        size, middle = self._input_sizes(self.loop.program), np.clip(inputs[0], *phase.u_bounds)
         box = np.maximum(phase.u_bounds[0], middle - size), np.minimum(phase.u_bounds[1], middle + size)
         first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), self._aside(inputs, program)
         return islice(beginnings(first, x, states[-1], lambda u: self._led_to(x, u, given), rng, box), self.starts)
@@ -352,29 +360,32 @@ class LoopPlanner:
         states, inputs = first_guess(self.loop.phase)(np.linspace(0, 1, self.loop.horizon + 1))
         return states, inputs[:-1]
 
-    def _needed(self, x: Array, given: Given) -> Array:
-        """Inputs (nu,) of the first program from the state held, or one that would cost as much by its curvature.
+    def _expected(self, x: Array, given: Given) -> tuple[Array, float]:
+        """Inputs (nu,) that the first program from the state held needs, and twice what its plan would cost.
 
-        Where it passes limits, of the one without them; infinite without one.
+        Needed is also an input that would cost as much as staying, by the program's curvature. Where limits are passed
+        there, it is the program without them. Infinite where nothing is known.
         """
-        inputs = self._guess[1]
-        held = self._local(x, given, np.tile(x, (len(inputs) + 1, 1)), inputs)
+        inputs, states = self._guess[1], np.tile(x, (self.loop.horizon + 1, 1))
+        held, nothing = self._local(x, given, states, inputs), np.full(inputs.shape[1], np.inf)
         for one in (held, replace(held, room=np.full(len(held.room), np.inf))):
             step = next_step(one, PRICE * one.force, times=PRICE)
             if step is not None and not step.relaxed and np.isfinite(step.inputs).all():
                 alike = np.sqrt(2 * abs(held.cost())) * step.program.unit.reshape(inputs.shape)
-                return np.asarray(np.maximum(np.abs(inputs + step.inputs).max(axis=0), alike.min(axis=0)))
-        return np.full(inputs.shape[1], np.inf)
+                needed = np.maximum(np.abs(inputs + step.inputs).max(axis=0), alike.min(axis=0))
+                cost = self._local(x, given, states + step.states[:, : len(x)], inputs + step.inputs).cost()
+                expected = cost + max(abs(cost), COST_ROUNDING * held.cost_size)
+                return np.where(needed > 0, needed, nothing), expected if np.isfinite(expected) else np.inf
+        return nothing, np.inf
 
     def _sized(self, program: NonlinearProgram, needed: Array) -> list[NonlinearProgram]:
-        """Itself, and one of the sizes that are needed, first where bounds are loose."""
+        """Itself, and one of the sizes that are needed, first where bounds of all inputs are loose."""
         told = self._input_sizes(program)
         size = np.where(told > WELL_SIZED * needed, np.maximum(needed, NEGLIGIBLE * told), told)
         if (size == told).all():
             return [program]
         sized = replace(program, scale=self.loop.scale(program, (-size, size)))
-        loose = (needed > 0) & (NEGLIGIBLE**0.5 * told > needed)
-        return [sized, program] if loose.any() else [program, sized]
+        return [sized, program] if (NEGLIGIBLE**0.5 * told > needed).all() else [program, sized]
 
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
         """Unknowns of a plan, without violations."""
