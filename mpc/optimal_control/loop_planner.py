@@ -367,7 +367,7 @@ class LoopPlanner:
         there, it is the program without them. Infinite where nothing is known.
         """
         inputs, states = self._guess[1], np.tile(x, (self.loop.horizon + 1, 1))
-        held, nothing = self._local(x, given, states, inputs), np.full(inputs.shape[1], np.inf)
+        held = self._local(x, given, states, inputs)
         for one in (held, replace(held, room=np.full(len(held.room), np.inf))):
             step = next_step(one, PRICE * one.force, times=PRICE)
             if step is not None and not step.relaxed and np.isfinite(step.inputs).all():
@@ -375,8 +375,8 @@ class LoopPlanner:
                 needed = np.maximum(np.abs(inputs + step.inputs).max(axis=0), alike.min(axis=0))
                 cost = self._local(x, given, states + step.states[:, : len(x)], inputs + step.inputs).cost()
                 expected = cost + max(abs(cost), COST_ROUNDING * held.cost_size)
-                return np.where(needed > 0, needed, nothing), expected if np.isfinite(expected) else np.inf
-        return nothing, np.inf
+                return np.asarray(needed), expected if np.isfinite(expected) else np.inf
+        return np.full(inputs.shape[1], np.inf), np.inf
 
     def _sized(self, program: NonlinearProgram, needed: Array) -> list[NonlinearProgram]:
         """Itself, and one of the sizes that are needed, first where bounds of all inputs are loose."""
@@ -385,7 +385,8 @@ class LoopPlanner:
         if (size == told).all():
             return [program]
         sized = replace(program, scale=self.loop.scale(program, (-size, size)))
-        return [sized, program] if (NEGLIGIBLE**0.5 * told > needed).all() else [program, sized]
+        loose = (needed > 0) & (NEGLIGIBLE**0.5 * told > needed)
+        return [sized, program] if loose.all() else [program, sized]
 
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
         """Unknowns of a plan, without violations."""
