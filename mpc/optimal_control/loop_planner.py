@@ -363,8 +363,8 @@ class LoopPlanner:
     def _expected(self, x: Array, given: Given) -> tuple[Array, float]:
         """Inputs (nu,) that the first program from the state held needs, and twice what its plan would cost.
 
-        Needed is also an input that would cost as much as staying, by the program's curvature. Where limits are passed
-        there, it is the program without them. Infinite where nothing is known.
+        Needed is also an input that would cost as much as staying, by the program's curvature. Where limits cannot be
+        kept there, it is the program without them, of which no cost is expected. Infinite where nothing is known.
         """
         inputs, states = self._guess[1], np.tile(x, (self.loop.horizon + 1, 1))
         held = self._local(x, given, states, inputs)
@@ -375,7 +375,7 @@ class LoopPlanner:
                 needed = np.maximum(np.abs(inputs + step.inputs).max(axis=0), alike.min(axis=0))
                 cost = self._local(x, given, states + step.states[:, : len(x)], inputs + step.inputs).cost()
                 expected = cost + max(abs(cost), COST_ROUNDING * held.cost_size)
-                return np.asarray(needed), expected if np.isfinite(expected) else np.inf
+                return np.asarray(needed), expected if one is held and np.isfinite(expected) else np.inf
         return np.full(inputs.shape[1], np.inf), np.inf
 
     def _sized(self, program: NonlinearProgram, needed: Array) -> list[NonlinearProgram]:

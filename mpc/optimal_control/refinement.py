@@ -201,7 +201,7 @@ class _Rounds:
         Along a singular arc it does not: the input begins to swing. Limits that are passed a little may then be kept,
         which weigh as little in the cost as intervals are short.
         """
-        a_little = LIMIT_PASSED < solution.excess <= JUMPED_LIMIT
+        a_little = LIMIT_PASSED < solution.excess <= JUMPED_LIMIT and reason not in (NO_TIME, NO_ROUNDS)
         if not solution.solved_on_mesh or (reason and not a_little) or not _reach_bounds(solution):
             return solution, reason
         rounds = copy(self)
