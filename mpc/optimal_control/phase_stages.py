@@ -15,7 +15,7 @@ from mpc.optimal_control.discrete_model import Buffered
 from mpc.optimal_control.local_statement import Local, Multipliers, Rows, largest
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.pieces import kind_of
-from mpc.tolerances import FEASIBLE, NEGLIGIBLE, PRIMAL
+from mpc.tolerances import NEGLIGIBLE
 
 
 class PhaseStages:
@@ -82,16 +82,12 @@ class PhaseStages:
         cost_x, cost_u = np.vstack([cost_x.reshape(N, nx), last_x.reshape(1, nx)]), cost_u.reshape(N, nu)
         base = self.loop.program.scale[self.part.first :][: nx + nu]
         sizes = np.concatenate([np.ptp(states, axis=0), np.ptp(inputs, axis=0)])
-        resting = sizes <= NEGLIGIBLE * base
-        sizes = np.where(resting, base, sizes)
-        # a limit of what rests is passed by as much as in its own size, also where bounds told a larger one
-        reach = np.concatenate([np.abs(states).max(axis=0), np.abs(inputs).max(axis=0)])
-        of_rows = np.where(resting, np.clip(reach, PRIMAL / FEASIBLE * base, base), sizes)
+        sizes = np.where(sizes > NEGLIGIBLE * base, sizes, base)
         values = [np.vstack([path, ends[:, : path.shape[1]]]), ends[:, path.shape[1] :]]
         slopes = [np.concatenate([_columns(path_x, nx), _columns(ends_x, nx)[:, : path.shape[1]]]),
                   _columns(ends_x, nx)[:, path.shape[1] :]]  # fmt: skip
         by_inputs = _columns(path_u, nu), _columns(ends_u, nu)
-        rows, room = self._rows(inputs, values, slopes, by_inputs, of_rows)
+        rows, room = self._rows(inputs, values, slopes, by_inputs, sizes)
         about = _columns(A, nx), _columns(B, nu), after - states[1:], z - states[0]
         size = max(largest(sizes[:nx] * cost_x), largest(sizes[nx:] * cost_u)) or 1.0
 
