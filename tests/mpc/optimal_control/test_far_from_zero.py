@@ -306,3 +306,19 @@ def test_a_guess_that_costs_nothing_tells_no_size_of_inputs(limit):
     plan = NonlinearMPC(phase).solve([0, 0])
     assert plan.status.name == "SOLVED"
     assert plan.cost == pytest.approx(-0.250660, abs=1e-5)
+
+
+@pytest.mark.parametrize("noise", [1e-8, 1e-6])
+def test_noise_at_rest_on_a_limit_moves_no_input(noise):
+    """Noise passes the limit by what no input can help, which is little beside bounds of 1e4."""
+    step = lambda x, u: V(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sin(x[0]) - 0.2 * x[1]))  # noqa: E731
+    law = NonlinearMPC(Phase(
+        step, 2, 1, discrete=True, duration=13, u_bounds=(-10, 10), x_bounds=([-1e4, -1e4], [0, 1e4]),
+        stage_cost=lambda x, u: (x[0] - 1e-3) ** 2 + 0.3 * x[1] ** 2 + 0.1 * u**2,
+    ))  # fmt: skip
+    x, rng = np.zeros(2), np.random.default_rng(1)
+    for _ in range(60):
+        u = law(x)
+        assert law.last_plans[0].status.name == "SOLVED"
+        assert abs(u.item()) < 200 * noise
+        x = np.asarray(step(ca.DM(x), ca.DM(u))).ravel() + noise * rng.uniform(-1, 1, 2)
