@@ -230,13 +230,14 @@ class LoopPlanner:
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         needed, expected = self._expected(x, given)
-        programs = self._sized(self._sample(x, given), needed)
-        run = Run(programs[0], self.settings, clock)
+        program = self._sample(x, given)
+        programs = self._sized(program, needed)
+        run = Run(program, self.settings, clock)
         tried: list[_Tried] = []
         solved = partial(self._solved, run, local=partial(self._local, x, given))
         if before is not None:
-            v = self._unknowns(programs[0], before.states, self._aside(before.inputs, programs[0]), given)
-            tried.append(solved(programs[0], v, PRICE**2))
+            v = self._unknowns(program, before.states, self._aside(before.inputs, program), given)
+            tried.append(solved(program, v, PRICE**2))
         if not tried or not (tried[0].sure or clock.up):
             for i, sized in enumerate(programs):
                 if i and clock.up:
