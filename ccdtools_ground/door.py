@@ -339,3 +339,13 @@ def _shape_text(shape: tuple[int | str | None, ...]) -> str:
     """Shape as written in a docstring."""
     lengths = ", ".join(map(str, shape)).replace("None", "any")
     return f"({lengths},)" if len(shape) == 1 else f"({lengths})"
+
+
+def as_record(argument: str, value: Any, size: int) -> Array:
+    """Record (n, T, size), also of one run (T, size), or (T,) if size 1; NaN is kept."""
+    array = as_floats(argument, value)
+    array = array[:, None] if array.ndim == size == 1 else array
+    array = array[None] if array.ndim == 2 else array
+    if array.ndim != 3 or array.shape[2] != size or 0 in array.shape[:2]:
+        raise InputError(argument, f"shape {array.shape}", _shape_text(("n", "T", size)))
+    return array

@@ -14,7 +14,7 @@ from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN
 from ccdtools.plants.plant import Plant
-from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_vector, as_weight
+from ccdtools_ground.door import as_count, as_finite, as_floats, as_record, as_vector, as_weight
 from mpc.exceptions import NotConvexError
 
 
@@ -153,9 +153,9 @@ class Filter(Immutable):
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """
-        y = _runs("outputs", outputs, self.ny)
+        y = as_finite("outputs", as_record("outputs", outputs, self.ny))
         n, steps = y.shape[:2]
-        u = _runs("inputs", inputs, self.nu)
+        u = as_finite("inputs", as_record("inputs", inputs, self.nu))
         if u.shape[:2] != (n, steps):
             raise InputError("inputs", f"shape {u.shape}", f"({n}, {steps}, {self.nu}), as many as outputs")
         belief = self.start(n)
@@ -185,13 +185,6 @@ def rows_of(argument: str, value: ArrayLike, belief: Belief, size: int) -> Array
     if rows.shape != (len(belief.mean), size):
         raise InputError(argument, f"shape {rows.shape}", f"({len(belief.mean)}, {size}), a row for each run")
     return rows
-
-
-def _runs(argument: str, value: ArrayLike, size: int) -> Array:
-    """Record (n, T, size), also of one run (T, size), or (T,) if size 1."""
-    array = as_floats(argument, value)
-    array = array[:, None] if array.ndim == size == 1 else array
-    return as_array(argument, array[None] if array.ndim == 2 else array, ("n", "T", size))
 
 
 def as_covariance(argument: str, value: Any, size: int, *, definite: bool = False, cure: str = "") -> Array:

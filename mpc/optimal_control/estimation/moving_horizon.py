@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from ccdtools_ground.door import as_share, brief
+from ccdtools_ground.door import as_record, as_share, brief
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
@@ -275,7 +275,7 @@ class MovingHorizonEstimator:
 
         ``inputs[k]`` is held from sample k to k + 1; before the first the input is 0.
         """
-        y, u = _runs("outputs", outputs, self.ny), _runs("inputs", inputs, self.nu)
+        y, u = as_record("outputs", outputs, self.ny), as_record("inputs", inputs, self.nu)
         if u.shape[:2] != y.shape[:2]:
             raise InputError("inputs", f"shape {u.shape}", f"{(*y.shape[:2], self.nu)}, as many as outputs")
         last = np.zeros((len(y), self.nu))
@@ -322,13 +322,3 @@ class MovingHorizonEstimator:
         windows, status = zip(*runs)
         z, P = (np.stack(part) for part in zip(*((window.course[-1], window.last) for window in windows)))
         return MovingHorizonBelief(z[:, :nx], P[:, :nx, :nx], z[:, nx:], status, windows)
-
-
-def _runs(name: str, value: ArrayLike, size: int) -> Array:
-    """Record (n, T, size), also of one run (T, size), or (T,) if size 1."""
-    array = as_floats(name, value)
-    array = array[:, None] if array.ndim == size == 1 else array
-    array = array[None] if array.ndim == 2 else array
-    if array.ndim != 3 or array.shape[2] != size or 0 in array.shape[:2]:
-        raise InputError(name, f"shape {np.shape(value)}", f"([n,] T, {size})")
-    return array
