@@ -168,7 +168,8 @@ class LoopPlanner:
         clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
-            found = found or self._planned(x, given, before, clock)
+            if not (found and self._sure(found, before, given)):
+                found = _better(found, self._planned(x, given, before, clock))
         return clock.stamped(told_of_inputs(found, self.loop.phase.u_bounds, self.loop.rate_limit, given))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
@@ -186,10 +187,15 @@ class LoopPlanner:
             found, first = self._optimum(path.last), path.moved
             if path.last.local.passed[1] <= KKT:  # else the price may be too low
                 break
+        return found
+
+    def _sure(self, found: Plan, before: Plan, given: Given) -> bool:
+        """Whether no other plan is looked for."""
+        if found.status is not Status.SOFTENED or before.status is Status.SOFTENED:
+            return True
         # from elsewhere limits may be kept, which was looked at as they began to be passed, if there was time
         then = partial(self._local, before.states[0], given)
-        known = before.status is Status.SOFTENED or (late and then(before.states, before.inputs).passed[1] > FEASIBLE)
-        return found if found.status is Status.SOLVED or known else None
+        return before.status is Status.LATE and then(before.states, before.inputs).passed[1] > FEASIBLE
 
     def _reached(self, path: Path, stated: Callable[[Array, Array], Local]) -> Plan | None:
         """Plan after the last program in time, None without numbers."""
@@ -244,9 +250,10 @@ class LoopPlanner:
                     break
                 tried += self._from_starts(partial(solved, sized), sized, x, given, clock)
                 best = min(tried, key=lambda one: one.rank)
-                if best.status in RANKS[2:] and not clock.late:
-                    tried.append(solved(sized, best.found.v, PRICE**2))
-                    best = min(tried, key=lambda one: one.rank)
+                for v in (best.found.v, self._unknowns(sized, *next(self._guesses(x, given, sized)), given)):
+                    if best.status in RANKS[2:] and not clock.late:
+                        tried.append(solved(sized, v, PRICE**2))
+                        best = min(tried, key=lambda one: one.rank)
                 if best.status in RANKS[:2] and not best.cost > expected:
                     break
         best = min(tried, key=lambda one: one.rank)
@@ -262,7 +269,7 @@ class LoopPlanner:
         # limits that are small beside the way are kept to their own sizes by programs
         sure = plan.status is Status.SOLVED or clock.late
         nearer = None if sure else self._followed(x, given, plan, clock)
-        return nearer or plan
+        return nearer if nearer and self._sure(nearer, plan, given) else plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
              clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip
@@ -416,3 +423,12 @@ class LoopPlanner:
             simulated = replace(plan, inputs=inputs, states=finite(states), cost=cost, violation=violation)
             plans.append((total if np.isfinite(total) else np.inf, simulated))
         return min(plans, key=lambda one: one[0])[1]
+
+
+def _better(found: Plan | None, other: Plan) -> Plan:
+    """The other plan, or the softened one where that is better."""
+    if found is None or other.status is Status.SOLVED:
+        return other
+    if other.status is Status.SOFTENED and (other.cost < found.cost or other.violation < found.violation):
+        return other
+    return found

@@ -15,7 +15,7 @@ from mpc.optimal_control.discrete_model import Buffered
 from mpc.optimal_control.local_statement import Local, Multipliers, Rows, largest
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.pieces import kind_of
-from mpc.tolerances import NEGLIGIBLE
+from mpc.tolerances import FEASIBLE, KKT, NEGLIGIBLE
 
 
 class PhaseStages:
@@ -37,7 +37,7 @@ class PhaseStages:
         self._path, self._end = _Sides(*f.path_bounds), _Sides(*f.boundary_bounds)
         counting, of = loop.counting(self.part), self._path.of
         before, beyond = N * len(self._bounds.of), len(self._end.of)  # rows of inputs and of the end, about those along
-        priced = np.isfinite(f.path_prices[0])
+        self._priced = priced = np.isfinite(f.path_prices[0])
         along = np.tile((loop.of(self.part, "x") | priced)[of], N + 1)
         self._free = before + np.flatnonzero(~counting[:, of])  # path limits that do not count
         # rows (m,) that may be passed: those of states after the first, and those that have a price
@@ -82,12 +82,16 @@ class PhaseStages:
         cost_x, cost_u = np.vstack([cost_x.reshape(N, nx), last_x.reshape(1, nx)]), cost_u.reshape(N, nu)
         base = self.loop.program.scale[self.part.first :][: nx + nu]
         sizes = np.concatenate([np.ptp(states, axis=0), np.ptp(inputs, axis=0)])
-        sizes = np.where(sizes > NEGLIGIBLE * base, sizes, base)
+        resting = sizes <= NEGLIGIBLE * base
+        sizes = np.where(resting, base, sizes)
+        of_hard, least = sizes.copy(), np.maximum(np.abs(states).max(axis=0), KKT**0.5 / FEASIBLE)
+        # beside what loose bounds tell, limits of states at rest would be kept however far they are passed
+        of_hard[:nx] = np.where(resting[:nx], np.minimum(base[:nx], least), sizes[:nx])
         values = [np.vstack([path, ends[:, : path.shape[1]]]), ends[:, path.shape[1] :]]
         slopes = [np.concatenate([_columns(path_x, nx), _columns(ends_x, nx)[:, : path.shape[1]]]),
                   _columns(ends_x, nx)[:, path.shape[1] :]]  # fmt: skip
         by_inputs = _columns(path_u, nu), _columns(ends_u, nu)
-        rows, room = self._rows(inputs, values, slopes, by_inputs, sizes)
+        rows, room = self._rows(inputs, values, slopes, by_inputs, np.stack([of_hard, sizes], axis=1))
         about = _columns(A, nx), _columns(B, nu), after - states[1:], z - states[0]
         size = max(largest(sizes[:nx] * cost_x), largest(sizes[nx:] * cost_u)) or 1.0
 
@@ -123,7 +127,7 @@ class PhaseStages:
         """Rows at a plan, and their room (m,).
 
         A row is as large as it changes at its own step, so that a small obstacle on a long way is kept off as well; its
-        violation is counted in what it changes at most.
+        violation is counted in what it changes at most. Sizes (nx + nu, 2) are those of hard and of soft limits.
         """
         N, nx, nu, r = self.loop.horizon, self.nx, self.nu, values[0].shape[1]
         (along, ends), (bounds, path, end) = by_inputs, (self._bounds, self._path, self._end)
@@ -136,7 +140,8 @@ class PhaseStages:
         ]
         each: list[tuple[Array, ...]] = []
         for side, value, *parts in sides:
-            whole = np.abs(np.concatenate(parts, axis=2)) @ np.concatenate([sizes, sizes[nx:]])
+            both = np.abs(np.concatenate(parts, axis=2)) @ np.concatenate([sizes, sizes[nx:]])
+            whole = np.where(self._priced, both[..., 1], both[..., 0]) if side is path else both[..., 0]
             most = whole.max(axis=0, initial=0.0)
             most = np.where(np.isfinite(most) & (most > 0), most, 1.0)
             own = np.where(np.isfinite(whole), np.maximum(whole, NEGLIGIBLE * most), most)

@@ -253,6 +253,40 @@ def test_loose_bounds_change_no_loop_whose_inputs_escape_or_pass_limits(case, lo
     assert plan.cost == pytest.approx(best, rel=1e-6)
 
 
+@pytest.mark.parametrize("loose", [30, 1e4, 1e6, 1e7, 1e9])
+@pytest.mark.parametrize("begin", [1e-6, 0.01])
+def test_a_limit_that_no_input_keeps_is_softened_however_loose_bounds_are(begin, loose):
+    """Within 1e7 it was SOLVED with the limit passed by all that the state moves, or no plan was found."""
+    step = lambda x, u: V(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sin(x[0]) - 0.2 * x[1]))  # noqa: E731
+    law = NonlinearMPC(Phase(
+        step, 2, 1, discrete=True, duration=15, u_bounds=(-loose, loose), path=lambda x: x[0] + 0.2,
+        stage_cost=lambda x, u: 10 * x[0] ** 2 + x[1] ** 2 + 0.01 * u**2,
+    ))  # fmt: skip
+    x = np.array([begin, 0.0])
+    for k in range(4):
+        u = law(x)
+        plan = law.last_plans[0]
+        assert plan.status.name == ("SOLVED" if k else "SOFTENED")
+        assert plan.violation == pytest.approx(0 if k else begin + 0.2, abs=1e-6)
+        x = np.asarray(step(ca.DM(x), ca.DM(u))).ravel()
+
+
+@pytest.mark.parametrize("loose", [1e2, 1e7])
+def test_noise_above_a_limit_is_softened_by_small_inputs_however_loose_bounds_are(loose):
+    """Within 1e7 it was SOLVED, passed by 1e-3; where it was not, Ipopt found inputs of 2400."""
+    law = NonlinearMPC(Phase(
+        lambda x, u: V(x[0] + 0.1 * x[1], x[1] + 0.1 * u), 2, 1, discrete=True, duration=10, u_bounds=(-loose, loose),
+        path=lambda x: x[0], stage_cost=lambda x, u: (x[0] - 0.1) ** 2 + 0.3 * x[1] ** 2 + 0.1 * u**2,
+    ))  # fmt: skip
+    x, rng = np.zeros(2), np.random.default_rng(3)
+    for _ in range(25):
+        u = law(x)
+        plan = law.last_plans[0]
+        assert plan.status.name == "SOFTENED" or plan.violation < 4e-4
+        assert abs(u.item()) < 1
+        x = np.array([x[0] + 0.1 * x[1], x[1] + 0.1 * u.item()]) + 1e-3 * rng.uniform(-1, 1, 2)
+
+
 @pytest.mark.parametrize("loose", [1e2, 1e8])
 def test_inputs_that_cost_nothing_are_no_larger_than_is_needed(loose):
     """In loose bounds they were 2e6, whose states followed the model to 1e7 alone."""
