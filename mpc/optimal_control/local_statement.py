@@ -128,6 +128,7 @@ class Local:
     lost: tuple[Array, Array] | None = None
     lost_cost: float = 0.0
     cost_size: float = 0.0  # of costs that vanish
+    told: Array | None = None  # units (m,) of rows by what bounds tell, where these are others
 
     @cached_property
     def defects(self) -> float:
@@ -152,9 +153,17 @@ class Local:
     @property
     def passed(self) -> tuple[float, float]:
         """Largest violation of a hard limit, absolute and relative."""
+        return self._over(np.ones_like(self.room)), self._over(self.rows.units)
+
+    @property
+    def passed_beside_told(self) -> float:
+        """Largest violation beside sizes that bounds tell."""
+        return self._over(self.rows.units if self.told is None else self.told)
+
+    def _over(self, units: Array) -> float:
+        """Largest violation of a hard limit in units (m,)."""
         over = np.where(self.hard, np.maximum(-self.room, 0.0), 0.0)
-        own, relative = (np.nan_to_num(part, nan=np.inf).max(initial=0.0) for part in (over, over / self.rows.units))
-        return float(own), float(relative)
+        return float(np.nan_to_num(over / units, nan=np.inf).max(initial=0.0))
 
     def priced(self, relaxed: bool, dear: float) -> Array:
         """Prices of violations, `dear` of relaxed hard limits."""

@@ -168,7 +168,7 @@ class LoopPlanner:
         clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
-            if not (found and self._sure(found, before, given)):
+            if found is None or before is None or not self._sure(x, given, found, before):
                 found = _better(found, self._planned(x, given, before, clock))
         return clock.stamped(told_of_inputs(found, self.loop.phase.u_bounds, self.loop.rate_limit, given))
 
@@ -189,9 +189,11 @@ class LoopPlanner:
                 break
         return found
 
-    def _sure(self, found: Plan, before: Plan, given: Given) -> bool:
+    def _sure(self, x: Array, given: Given, found: Plan, before: Plan) -> bool:
         """Whether no other plan is looked for."""
         if found.status is not Status.SOFTENED or before.status is Status.SOFTENED:
+            return True
+        if self._local(x, given, found.states, found.inputs).passed_beside_told <= FEASIBLE:
             return True
         # from elsewhere limits may be kept, which was looked at as they began to be passed, if there was time
         then = partial(self._local, before.states[0], given)
@@ -269,7 +271,7 @@ class LoopPlanner:
         # limits that are small beside the way are kept to their own sizes by programs
         sure = plan.status is Status.SOLVED or clock.late
         nearer = None if sure else self._followed(x, given, plan, clock)
-        return nearer if nearer and self._sure(nearer, plan, given) else plan
+        return nearer if nearer and self._sure(x, given, nearer, plan) else plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
              clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip

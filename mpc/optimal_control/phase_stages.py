@@ -84,14 +84,14 @@ class PhaseStages:
         sizes = np.concatenate([np.ptp(states, axis=0), np.ptp(inputs, axis=0)])
         resting = sizes <= NEGLIGIBLE * base
         sizes = np.where(resting, base, sizes)
-        of_hard, least = sizes.copy(), np.maximum(np.abs(states).max(axis=0), KKT**0.5 / FEASIBLE)
         # beside what loose bounds tell, limits of states at rest would be kept however far they are passed
-        of_hard[:nx] = np.where(resting[:nx], np.minimum(base[:nx], least), sizes[:nx])
+        least = np.maximum(np.abs(states).max(axis=0), KKT**0.5 / FEASIBLE)
+        of_hard = np.append(np.where(resting[:nx], np.minimum(base[:nx], least), sizes[:nx]), sizes[nx:])
         values = [np.vstack([path, ends[:, : path.shape[1]]]), ends[:, path.shape[1] :]]
         slopes = [np.concatenate([_columns(path_x, nx), _columns(ends_x, nx)[:, : path.shape[1]]]),
                   _columns(ends_x, nx)[:, path.shape[1] :]]  # fmt: skip
         by_inputs = _columns(path_u, nu), _columns(ends_u, nu)
-        rows, room = self._rows(inputs, values, slopes, by_inputs, np.stack([of_hard, sizes], axis=1))
+        rows, room, told = self._rows(inputs, values, slopes, by_inputs, sizes, of_hard)
         about = _columns(A, nx), _columns(B, nu), after - states[1:], z - states[0]
         size = max(largest(sizes[:nx] * cost_x), largest(sizes[nx:] * cost_u)) or 1.0
 
@@ -120,14 +120,14 @@ class PhaseStages:
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
         prices += np.stack([np.where(near > 0, -2 * near * (over / rows.amounts)[given], 0.0), near], axis=1)
         return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
-                     self.extent, lambda: total, prices, cost_size=self.loop.program.cost_scale)  # fmt: skip
+                     self.extent, lambda: total, prices, cost_size=self.loop.program.cost_scale, told=told)  # fmt: skip
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],
-              sizes: Array) -> tuple[Rows, Array]:  # fmt: skip
-        """Rows at a plan, and their room (m,).
+              sizes: Array, of_hard: Array) -> tuple[Rows, Array, Array]:  # fmt: skip
+        """Rows at a plan, their room (m,), and units (m,) as told.
 
         A row is as large as it changes at its own step, so that a small obstacle on a long way is kept off as well; its
-        violation is counted in what it changes at most. Sizes (nx + nu, 2) are those of hard and of soft limits.
+        violation is counted in what it changes at most. Sizes of hard limits are their own.
         """
         N, nx, nu, r = self.loop.horizon, self.nx, self.nu, values[0].shape[1]
         (along, ends), (bounds, path, end) = by_inputs, (self._bounds, self._path, self._end)
@@ -139,19 +139,22 @@ class PhaseStages:
             (end, values[1], slopes[1], 0 * ends[:, r:], ends[:, r:]),
         ]
         each: list[tuple[Array, ...]] = []
+        smaller = bool((of_hard < sizes).any())
         for side, value, *parts in sides:
-            both = np.abs(np.concatenate(parts, axis=2)) @ np.concatenate([sizes, sizes[nx:]])
-            whole = np.where(self._priced, both[..., 1], both[..., 0]) if side is path else both[..., 0]
-            most = whole.max(axis=0, initial=0.0)
-            most = np.where(np.isfinite(most) & (most > 0), most, 1.0)
-            own = np.where(np.isfinite(whole), np.maximum(whole, NEGLIGIBLE * most), most)
+            slopes_of = np.abs(np.concatenate(parts, axis=2))[:, side.of]
+            told, most = _units(slopes_of, np.append(sizes, sizes[nx:]))
+            own = told
+            if smaller:
+                hard = ~self._priced[side.of] if side is path else np.ones(len(side.of), dtype=bool)
+                own, less = _units(slopes_of, np.append(of_hard, of_hard[nx:]))
+                own, most = np.where(hard, own, told), np.where(hard, less, most)
             signed = [(part[:, side.of] * side.sign[:, None]).reshape(-1, part.shape[2]) for part in parts]
-            sizes_of = own[:, side.of].ravel(), np.tile(most[side.of], len(value))
+            sizes_of = own.ravel(), np.tile(most, len(value)), told.ravel()
             each.append((*signed, *sizes_of, (side.bound - side.sign * value[:, side.of]).ravel()))
-        by_state, by_input, by_before, units, amounts, room = (np.concatenate(part) for part in zip(*each))
+        by_state, by_input, by_before, units, amounts, told, room = (np.concatenate(part) for part in zip(*each))
         room[self._free] = np.inf
         return replace(self.rows, by_state=by_state, by_input=by_input, by_before=by_before, units=units,
-                       amounts=amounts), room  # fmt: skip
+                       amounts=amounts), room, told  # fmt: skip
 
     def _on_values(self, pushes: Array) -> tuple[Array, Array]:
         """Multipliers (N + 1, r) of path values, and those of the end."""
@@ -188,6 +191,14 @@ def _slopes(kind: Any, after: list[Any], cost: Any, rows: Any, columns: list[Any
     bent, _ = ca.hessian(whole, ca.vertcat(x, u))
     return (ca.Function("slopes", columns, values, {"cse": True}),
             ca.Function("bent", [*columns, on_after, on_rows], [ca.densify(bent)], {"cse": True}))  # fmt: skip
+
+
+def _units(slopes: Array, sizes: Array) -> tuple[Array, Array]:
+    """Sizes (k, r) of rows, and their largest (r,), for slopes (k, r, n) by what is of sizes (n,)."""
+    each = slopes @ sizes
+    most = each.max(axis=0, initial=0.0)
+    most = np.where(np.isfinite(most) & (most > 0), most, 1.0)
+    return np.where(np.isfinite(each), np.maximum(each, NEGLIGIBLE * most), most), most
 
 
 def _columns(values: Array, size: int) -> Array:

@@ -268,7 +268,7 @@ def test_a_plan_is_late_where_its_time_was_up():
         lambda x, u: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sqrt(x[0] + 1))), 2, 1, discrete=True,
         duration=30, u_bounds=(-1, 1), x_bounds=([-1, -5], [60, 5]), end=([50, 0], [50, 0]),
         stage_cost=lambda x, u: (x[0] - 3) ** 2 + u**2,
-    ), starts=1, most_iterations=60, time_limit=limit)  # fmt: skip
+    ), starts=1, most_iterations=20, time_limit=limit)  # fmt: skip
     anew = law(None)
     free = min((anew.solve([0.5, 0]) for _ in range(2)), key=lambda plan: plan.solve_time)
     assert free.status is Status.REPLACED
