@@ -157,11 +157,11 @@ class Local:
 
     @property
     def passed_beside_told(self) -> float:
-        """Largest violation beside sizes that bounds tell."""
+        """Largest violation, beside told sizes."""
         return self._over(self.rows.units if self.told is None else self.told)
 
     def _over(self, units: Array) -> float:
-        """Largest violation of a hard limit in units (m,)."""
+        """Largest violation of hard limits, in units (m,)."""
         over = np.where(self.hard, np.maximum(-self.room, 0.0), 0.0)
         return float(np.nan_to_num(over / units, nan=np.inf).max(initial=0.0))
 

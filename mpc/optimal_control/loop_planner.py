@@ -16,9 +16,10 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
-from mpc.optimal_control.ipopt import Found, Settings, once, solver_of
+from mpc.optimal_control.ipopt import Settings, once, solver_of
 from mpc.optimal_control.local_statement import Local
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.loop_results import RANKS, Tried, better
 from mpc.optimal_control.paths import CONVERGING, Path, contracted, programs, while_newton
 from mpc.optimal_control.phase_stages import PhaseStages
 from mpc.optimal_control.planning import (
@@ -32,8 +33,7 @@ from mpc.optimal_control.planning import (
     until_most_agree,
 )
 from mpc.optimal_control.program import NonlinearProgram, rescaled
-from mpc.optimal_control.solution import OptimalControlStatus
-from mpc.optimal_control.solving import LATE, Run, as_settings, status_of
+from mpc.optimal_control.solving import LATE, Run, as_settings
 from mpc.optimal_control.sqp import Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
@@ -48,43 +48,7 @@ from mpc.tolerances import (
     WELL_SIZED,
 )
 
-RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
-
-
-@dataclass(frozen=True, eq=False)
-class _Tried:
-    """Result of a solve, its cost and largest violation."""
-
-    found: Found
-    cost: float
-    violation: float  # of a hard limit, in its unit
-    passed: float  # the same in sizes of its row, or the largest gap in sizes of states
-    local: Local  # at it
-
-    @cached_property
-    def step(self) -> Step | None:
-        """Step of a program about it."""
-        return next_step(self.local, PRICE * self.local.force, relaxed=self.status is Status.SOFTENED, times=PRICE)
-
-    @cached_property
-    def sure(self) -> bool:
-        """Whether it is an optimum, and at no saddle."""
-        return self.status is Status.SOLVED and not (self.step and self.step.falls)
-
-    @property
-    def status(self) -> Status:
-        """Status: an optimum only where its own conditions hold, and all limits."""
-        if status_of(self.found) is OptimalControlStatus.SOLVED:
-            return Status.SOLVED if self.passed <= FEASIBLE else Status.SOFTENED
-        feasible = np.maximum(self.passed, self.found.residuals.primal) <= FEASIBLE and np.isfinite(self.cost)
-        return Status.INACCURATE if feasible else Status.REPLACED
-
-    @property
-    def rank(self) -> tuple[int, float]:
-        """Rank: optima by their cost, softened ones and others by their violation."""
-        worth = self.cost if self.status is Status.SOLVED else self.passed + self.found.residuals.primal
-        return RANKS.index(self.status), worth if np.isfinite(worth) else np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +133,7 @@ class LoopPlanner:
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
             found = None if before is None else self._followed(x, given, before, clock)
             if found is None or before is None or not self._sure(x, given, found, before):
-                found = _better(found, self._planned(x, given, before, clock))
+                found = better(found, self._planned(x, given, before, clock))
         return clock.stamped(told_of_inputs(found, self.loop.phase.u_bounds, self.loop.rate_limit, given))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
@@ -241,7 +205,7 @@ class LoopPlanner:
         program = self._sample(x, given)
         programs = self._sized(program, needed)
         run = Run(program, self.settings, clock)
-        tried: list[_Tried] = []
+        tried: list[Tried] = []
         solved = partial(self._solved, run, local=partial(self._local, x, given))
         if before is not None:
             v = self._unknowns(program, before.states, self._aside(before.inputs, program), given)
@@ -298,7 +262,7 @@ class LoopPlanner:
         return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
 
     def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *,
-                local: Callable[[Array, Array], Local]) -> _Tried:  # fmt: skip
+                local: Callable[[Array, Array], Local]) -> Tried:  # fmt: skip
         """Result from unknowns, with limits of states at a price.
 
         The price is in sizes of cost and rows; at 0 they are hard.
@@ -313,7 +277,7 @@ class LoopPlanner:
         found = run.solved(np.clip(v, lower, upper), None, warm=False)
         at = local(*self._trajectory(found.v))
         over, relative = at.passed
-        return _Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)), at)
+        return Tried(found, at.cost(), over, float(np.maximum(relative, at.defects)), at)
 
     def _trajectory(self, v: Array) -> Trajectory:
         """States (N + 1, nx) and inputs (N, nu) of unknowns."""
@@ -357,8 +321,8 @@ class LoopPlanner:
             bounds[program.parameters] = np.concatenate([self.p, given["t"]])
         return replace(program, lower=lower, upper=upper, guess=np.clip(program.guess, lower, upper))
 
-    def _from_starts(self, solved: Callable[[Array, float], _Tried], program: NonlinearProgram, x: Array, given: Given,
-                     clock: Clock) -> Iterator[_Tried]:  # fmt: skip
+    def _from_starts(self, solved: Callable[[Array, float], Tried], program: NonlinearProgram, x: Array, given: Given,
+                     clock: Clock) -> Iterator[Tried]:  # fmt: skip
         """Results from starts, until most agree."""
         guesses = (self._unknowns(program, *guess, given) for guess in self._guesses(x, given, program))
         own = (solved(v, 0.0) for i, v in enumerate(guesses) if not (i and clock.up))
@@ -406,7 +370,7 @@ class LoopPlanner:
         most = BOTTOMLESS * program.scale  # where a model escapes the solver would end the process
         return np.clip(np.clip(v, -most, most), program.lower, program.upper)
 
-    def _packed(self, best: _Tried, program: NonlinearProgram, x: Array, given: Given, before: Plan | None) -> Plan:
+    def _packed(self, best: Tried, program: NonlinearProgram, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan of a result, or the best that was reached instead."""
         states, inputs = self._trajectory(best.found.v)
         found = Plan(inputs, states, best.cost, best.status, best.found.residuals, best.violation, 0.0, "Ipopt")
@@ -425,12 +389,3 @@ class LoopPlanner:
             simulated = replace(plan, inputs=inputs, states=finite(states), cost=cost, violation=violation)
             plans.append((total if np.isfinite(total) else np.inf, simulated))
         return min(plans, key=lambda one: one[0])[1]
-
-
-def _better(found: Plan | None, other: Plan) -> Plan:
-    """The other plan, or the softened one where that is better."""
-    if found is None or other.status is Status.SOLVED:
-        return other
-    if other.status is Status.SOFTENED and (other.cost < found.cost or other.violation < found.violation):
-        return other
-    return found

@@ -124,7 +124,7 @@ class PhaseStages:
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],
               sizes: Array, of_hard: Array) -> tuple[Rows, Array, Array]:  # fmt: skip
-        """Rows at a plan, their room (m,), and units (m,) as told.
+        """Rows at a plan, room (m,), units (m,) as told.
 
         A row is as large as it changes at its own step, so that a small obstacle on a long way is kept off as well; its
         violation is counted in what it changes at most. Sizes of hard limits are their own.
@@ -194,7 +194,7 @@ def _slopes(kind: Any, after: list[Any], cost: Any, rows: Any, columns: list[Any
 
 
 def _units(slopes: Array, sizes: Array) -> tuple[Array, Array]:
-    """Sizes (k, r) of rows, and their largest (r,), for slopes (k, r, n) by what is of sizes (n,)."""
+    """Sizes (k, r) of rows, and their largest (r,)."""
     each = slopes @ sizes
     most = each.max(axis=0, initial=0.0)
     most = np.where(np.isfinite(most) & (most > 0), most, 1.0)
