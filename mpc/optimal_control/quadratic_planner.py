@@ -368,5 +368,5 @@ def gain_at_rest(law: MPCProblem) -> Array:
         return law.gain
     except NotStabilisableError:
         A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
-        gains, _ = gains_along(A, B, weights_along(law.horizon, law.Q, law.R, law.cross, law.P))
+        gains, *_ = gains_along(A, B, weights_along(law.horizon, law.Q, law.R, law.cross, law.P))
         return np.asarray(gains[0])

@@ -166,7 +166,9 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
     balance = max(*(largest(part * program.unit) for part in parts), TINY)
     gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-    stationarity = program.unrest(curvature, balance, change, gain)
+    stationarity = program.unrest(largest(curvature * program.unit) / balance, change, gain)
+    if stationarity <= KKT:
+        stationarity = max(stationarity, program.unrest(program.unmet(balance, *pushes), change, gain))
     size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
     found = local, moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
@@ -215,7 +217,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     return replace(
         last, local=local, states=none[0], inputs=none[1], size=0.0,
         defects=max(local.defects, left.max(initial=0.0), unbalanced),
-        stationarity=program.unrest(gradient, balance, change, 0.5 * float((y * y).sum())),
+        stationarity=program.unrest(largest(gradient * program.unit) / balance, change, 0.5 * float((y * y).sum())),
         _balanced=lambda: multipliers,
     )  # fmt: skip
 

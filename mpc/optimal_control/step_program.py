@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -68,9 +69,17 @@ class Program:
         """Product Hz (n,)."""
         return np.asarray(self.blocks @ z.reshape(*self.blocks.shape[:2], 1)).ravel()
 
-    def unrest(self, force: Array, balance: float, change: Array, gain: float) -> float:
-        """Stationarity, see `Step`, where a move makes a gradient (n,) vanish."""
-        local, found = self.local, largest(force * self.unit) / balance
+    def unmet(self, balance: float, taken: Any, pushes: Array) -> float:
+        """What limits push that the step alone meets: they balance no gradient of the plan."""
+        rows = self.local.rows
+        room = self.local.room[taken] / rows.units[taken]
+        far = (pushes > 0) & (room > KKT)
+        force = np.abs(rows.pulled(self.along, taken[far]) * self.unit).max(axis=1, initial=0.0) * pushes[far] / balance
+        return float(np.minimum(room[far], force).max(initial=0.0))
+
+    def unrest(self, found: float, change: Array, gain: float) -> float:
+        """Stationarity, see `Step`, where a gradient is left that a move makes vanish."""
+        local = self.local
         still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
         if still >= found:
             return found
@@ -98,9 +107,9 @@ def program_about(local: Local, dear: float, on: Multipliers | None, relaxed: bo
     except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
         return None
     found = condensed(local, held, hessian)
-    if found is None:
+    if found is None or not found[-1]:
         return None
-    whole, gains, blocks, roots = found
+    whole, gains, blocks, roots, _ = found
     along = A, B, gains, gaps, first
     drift, lead = (part[0] for part in moved(*along, np.zeros((1, *local.inputs.shape))))
     aims = np.where(held > 0, np.maximum(local.room, 0.0), 0.0)  # where a limit that pushes is met
@@ -126,19 +135,23 @@ def prices_across(local: Local, dear: float, pushes: Array, relaxed: bool) -> Ar
     return np.where(acting, np.maximum(dear, VIOLATION_PRICE * pushes * rows.units) / rows.units**2, 0.0)
 
 
-def condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, Array, Array] | None:
-    """Hessian priced across rows, gains, blocks by v and their roots.
+def condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, Array, Array, bool] | None:
+    """Hessian priced across rows, gains, blocks by v, their roots, whether these are more than rounding.
 
     None where blocks are not positive definite, or no numbers.
     """
     (A, B, _, _), whole = local.about, priced_across(local, held, hessian)
     try:
-        gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
+        gains, deviating, rounded = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
         blocks = 2 * deviating if local.regulated is None else by_moves(A, B, gains, whole)
         roots = _roots(blocks)
     except np.linalg.LinAlgError:
         return None
-    return (whole, gains, blocks, roots) if np.isfinite(roots).all() else None
+    if not np.isfinite(roots).all():
+        return None
+    pivots = np.diagonal(roots, axis1=1, axis2=2) ** -2.0
+    least = 2 * (rounded + ROUNDED_SUM * np.diagonal(deviating, axis1=1, axis2=2))
+    return whole, gains, blocks, roots, local.regulated is not None or bool((pivots > least).all())
 
 
 def priced_across(local: Local, held: Array, hessian: Array) -> Array:
