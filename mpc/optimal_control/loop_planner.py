@@ -71,6 +71,12 @@ class LoopPlanner:
             solver_of(self.loop.program, own)
         return self
 
+    def with_parameters(self, p: Array) -> LoopPlanner:
+        """Planner for other parameters, nothing of which is built anew."""
+        other = replace(self, p=p)
+        other.__dict__.update(model=self.model, stages=self.stages, _guess=self._guess)
+        return other
+
     @property
     def settings(self) -> Settings:
         """Settings of every call of the solver."""

@@ -246,6 +246,8 @@ class NonlinearMPC(Immutable):
             other.__dict__.pop(name, None)
         for name, own in (("p", value), ("_last", list(self._last) if as_flag("follow", follow) else [])):
             object.__setattr__(other, name, own)
+        if isinstance(self.planner, LoopPlanner):
+            other.__dict__["planner"] = self.planner.with_parameters(value)
         _ = other.planner
         return other
 

@@ -49,10 +49,15 @@ class _Sample:
     x: Array
     given: Given
     first: Path
+    cost: float  # of the first path
     size: float  # of the cost
     dear: float
     clock: Clock
-    far: bool  # whether a first path costs more than that
+
+    @property
+    def far(self) -> bool:
+        """Whether the first path costs more than what cannot be kept."""
+        return not self.cost <= self.dear
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +127,9 @@ class QuadraticPlanner:
                 most = np.inf
             cost = cost_of(self.law, first.inputs, first.states, given)
             size = max(min(cost, most), TINY)
-            dear = VIOLATION_PRICE * size
-            sample = _Sample(x, given, first, size, dear, clock, not cost <= dear)
+            sample = _Sample(x, given, first, cost, size, VIOLATION_PRICE * size, clock)
             found = clock.stamped(self._found(sample))
-            # one that is no dearer than the plan before will do (Scokaert, Mayne and Rawlings, 1999)
-            does = found.status is Status.FOLLOWED and self._total(found, given, dear) <= cost
-            if not (does or found.status in OPTIMA):
+            if found.status not in (Status.FOLLOWED, *OPTIMA):
                 best = self._best(sample, found)
                 found = replace(best, status=Status.LATE) if found.status is Status.LATE else best
         if self._limits is not None:
@@ -149,14 +151,12 @@ class QuadraticPlanner:
         if follow and self.iterations is not None:
             programs = self._programs(sample, replace(first, name=REAL_TIME, multipliers=None))
             done = list(islice(programs, self.iterations))
-            if not done:
-                return self._plan(sample, first, Status.REPLACED)
             cut_short = Status.LATE if sample.clock.stopped else Status.INACCURATE
             status = Status.FOLLOWED if len(done) == self.iterations else cut_short
-            found = self._plan(sample, done[-1].moved, status)
-            at_saddle = done[-1].solved and done[-1].falls
-            if not (at_saddle or found.status is Status.SOFTENED):  # beyond hard limits there may be nothing to follow
-                return found if np.isfinite(found.cost) else replace(found, status=Status.INACCURATE)
+            found = self._plan(sample, done[-1].moved, status) if done else None
+            at_saddle = done and done[-1].solved and done[-1].falls
+            if found and (found.status is Status.LATE or (not at_saddle and self._followable(sample, found))):
+                return found
         at = replace(first, name=CONVERGING, last=None)
         if not sample.far:
             at = self._contracted(sample, at)
@@ -177,6 +177,14 @@ class QuadraticPlanner:
                    default=None)  # fmt: skip
         found = self._plan(sample, first, Status.REPLACED) if best is None else best
         return replace(found, status=Status.LATE) if sample.clock.stopped and found.status not in OPTIMA else found
+
+    def _followable(self, sample: _Sample, found: Plan) -> bool:
+        """Whether a real-time iteration may be followed, elsewhere the sample goes to the optimum."""
+        if found.status is Status.SOFTENED or not np.isfinite(found.cost):
+            return False
+        # one that is no dearer than the plan before will do (Scokaert, Mayne and Rawlings, 1999)
+        does = self._total(found, sample.given, sample.dear) <= sample.cost
+        return does or self._best(sample, found) is found
 
     def _plan(self, sample: _Sample, at: Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""

@@ -192,20 +192,6 @@ def test_a_loop_that_begins_beyond_its_limits_is_softened_until_it_is_back():
     assert x[0] < 1.0
 
 
-def test_other_parameters_go_on_from_the_last_plans_where_asked():
-    """As where an estimator tells them anew at each sample: all of these were first samples."""
-    step = lambda x, u, p: ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (p * ca.sin(x[0]) + u))  # noqa: E731
-    cost = lambda x, u: ca.sumsqr(x) + u**2  # noqa: E731
-    phase = Phase(step, 2, 1, discrete=True, duration=20, u_bounds=(-3, 3), stage_cost=cost)
-    law, x = NonlinearMPC(phase, p=[1.0]), np.array([1.0, 0.0])
-    law(x)
-    assert law.with_parameters([1.05]).last_plans == ()
-    other = law.with_parameters([1.05], follow=True)
-    other(x)
-    assert other.last_plans[0].solver != law.last_plans[0].solver == "Ipopt"
-    assert other.last_plans[0].cost == pytest.approx(other.solve(x).cost, rel=1e-6)
-
-
 def test_copies_answer_alike_and_remember_for_themselves():
     law = NonlinearMPC(push())
     first = law([1.0, 0.0])
