@@ -103,7 +103,8 @@ def as_end(name: str, value: Any, within: tuple[Array, Array]) -> tuple[Array, A
 
 def as_duration(value: Any, discrete: bool) -> tuple[float, float]:
     """Least and largest duration."""
-    raw = as_floats("duration", value)
+    pair = isinstance(value, tuple | list) and len(value) == 2 and value[1] is None
+    raw = as_floats("duration", (value[0], INF) if pair else value)
     if raw.ndim == 0:
         raw = np.array([raw, raw])
     if raw.shape != (2,) or not np.isfinite(raw[0]) or not 0 < raw[0] <= raw[1]:

@@ -119,8 +119,11 @@ class LoopPlanner:
         if "w" not in given:
             w = loop.signal(t)
         else:  # held over each sample
-            w = as_floats("w", given["w"])
-            w = np.tile(as_array("w", np.atleast_1d(w), (nw,)), (N + 1, 1)) if w.ndim <= 1 else w
+            w = np.atleast_1d(as_floats("w", given["w"]))
+            if w.shape not in ((nw,), (N, nw), (N + 1, nw)):
+                rows = f"({N + 1}, {nw}), a row for each sample and the end, or ({nw},), held"
+                raise InputError("w", f"shape {w.shape}", rows)
+            w = np.tile(w, (N + 1, 1)) if w.ndim == 1 else w
             w = as_array("w", np.vstack([w, w[-1:]]) if len(w) == N else w, (N + 1, nw))
             w = np.hstack([w, w])[:, : loop.nw]
         u_prev = as_array("u_prev", given.get("u_prev", np.zeros(nu)), (nu,))

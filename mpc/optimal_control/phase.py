@@ -147,10 +147,10 @@ class Phase:
         if self.duration_guess is not None:
             check_within("duration_guess", as_number("duration_guess", self.duration_guess), "duration", self.duration)
         if self.signal is not None and not callable(self.signal):
-            signal = as_array("signal", self.signal, (None, None))
-            if len(signal) < 2:
+            signal = as_floats("signal", self.signal)
+            if signal.ndim != 2 or len(signal) < 2:
                 raise InputError("signal", f"shape {signal.shape}", "(n, nw), n ≥ 2, or a function of time")
-            set_(self, "signal", signal)
+            set_(self, "signal", as_array("signal", signal, (None, None)))
         if self.signal is not None and self.duration[0] != self.duration[1]:
             cure = "State what is known over time as an expression of t in the dynamics."
             raise InputError("signal", "a duration that is free", "a given duration", cure)

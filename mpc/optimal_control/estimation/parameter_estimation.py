@@ -85,7 +85,7 @@ def estimate_parameters(
     clock = Clock(as_seconds("time_limit", options.get("time_limit")))
     known = {**signature(solve).parameters, **signature(refine).parameters}
     for name in options:
-        as_choice("options", name, [one for one, of in known.items() if of.default is not of.empty])
+        as_choice("options", name, ["p_bounds", *(one for one, of in known.items() if of.default is not of.empty)])
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)

@@ -44,6 +44,7 @@ GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, 
         ({"duration": (0, 3)}, "duration", "(0, 3)"),
         ({"duration": 2.5, "discrete": True}, "duration", "2.5"),
         ({"signal": [[1.0], [2.0]], "duration": (1, 2)}, "signal", "free"),
+        ({"signal": [1.0, 2.0, 3.0]}, "signal", "got shape (3,), expected (n, nw), n ≥ 2"),
         ({"state_names": ["a"]}, "state_names", "('a',), expected 2 names"),
         ({"state_names": "ab"}, "state_names", "'ab'"),
         ({"duration": (1, 3), "duration_guess": np.nan}, "duration_guess", "nan"),
@@ -260,6 +261,10 @@ def test_a_single_interval_of_high_degree_is_as_good_as_many(degree):
     one = solve(build(phase, Radau(degree), 1), tolerance=1e-10)
     assert one.solved
     assert one.cost == pytest.approx(many.cost, rel=max(10.0 ** (1 - degree), 2e-9))
+
+
+def test_a_duration_without_an_upper_bound_is_told_by_none():
+    assert Phase(**(GOOD | {"duration": (0.1, None)})).duration == (0.1, np.inf)
 
 
 def test_a_signal_of_a_phase_after_a_free_duration_is_refused_however_far_after():

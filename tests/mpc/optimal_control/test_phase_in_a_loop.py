@@ -250,7 +250,7 @@ def test_states_that_inputs_by_chance_lead_out_of_the_numbers_are_no_warning():
 
 def test_a_row_of_the_wrong_width_is_told_as_it_was_given():
     law = NonlinearMPC(push(stage_cost=lambda x, u, w: cost(x - w, u), signal=np.zeros((11, 2))))
-    with pytest.raises(InputError, match=r"^w: got shape \(10,\), expected \(2,\)"):
+    with pytest.raises(InputError, match=r"^w: got shape \(10,\), expected \(11, 2\), a row for each .* or \(2,\)"):
         law.solve([1.0, 0.0], w=np.zeros(10))
 
 
