@@ -26,7 +26,23 @@ def test_what_a_move_costs_does_not_depend_on_the_others(nx, nu, N, radius, S, u
     A, B = rng.normal(size=(N, nx, nx)), unit * rng.normal(size=(N, nx, nu))
     A *= radius / np.abs(np.linalg.eigvals(A)).max()
     weights = np.eye(nx), unit**2 * np.eye(nu), np.full((nx, nu), S * unit), 2.0 * np.eye(nx)
-    gains, prices = gains_along(A, B, weights_along(N, *weights))
+    gains, prices, rounded = gains_along(A, B, weights_along(N, *weights))
+    assert (rounded < 1e-9 * np.diagonal(prices, axis1=1, axis2=2)).all()
     for _ in range(3):
         v = rng.normal(size=(N, nu)) / unit
         assert sum(m @ M @ m for m, M in zip(v, prices)) == pytest.approx(simulated(v, A, B, gains, weights), rel=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("growth", [0.8, 1.0, 1.3])
+def test_prices_that_the_last_input_takes_away_leave_rounding_to_the_others(growth, unit):
+    """Only the last state costs: one input meets it, whatever the others do."""
+    N, nx = 20, 3
+    rng = np.random.default_rng(0)
+    A = growth * np.tile(np.linalg.qr(rng.normal(size=(nx, nx)))[0], (N, 1, 1))
+    B = unit * np.tile(rng.normal(size=(nx, nx)), (N, 1, 1))
+    none = np.zeros((nx, nx))
+    _, prices, rounded = gains_along(A, B, weights_along(N, none, none, none, np.eye(nx)))
+    known = np.diagonal(prices, axis1=1, axis2=2) > rounded
+    assert known[-1].all()
+    assert not known[:-1].any()
