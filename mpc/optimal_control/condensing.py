@@ -49,7 +49,9 @@ def gains_along(A: Array, B: Array, weights: Array) -> tuple[Array, Array, Array
         V = 0.5 * (V + V.T)
         rounded[k] = np.diag(B[k].T @ (error @ B[k]))
         closed = A[k] - B[k] @ gains[k]
-        error = closed.T @ (error @ closed) + ROUNDED_SUM * np.diag(np.abs(np.diag(M)[:nx]))
+        sums = np.abs(np.diag(M))
+        own = np.diag(sums[:nx]) + gains[k].T @ (np.diag(sums[nx:]) @ gains[k])  # `_divided` adds as much to prices
+        error = closed.T @ (error @ closed) + ROUNDED_SUM * own
     return gains, prices, rounded
 
 
