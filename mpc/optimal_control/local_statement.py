@@ -26,6 +26,7 @@ class Multipliers:
     costates: Array
     pushes: Array
     hessian: Array | None = None
+    pulling: float = 0.0  # of limits that would pull, and were left out, beside the strongest that pushes
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -148,7 +148,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     known = np.concatenate([part.ravel() for part in (*local.about, local.by_state, local.by_input)])
     if not np.isfinite(known).all() or np.isnan(local.room).any():
         return None
-    if last is not None and multipliers is not None:
+    if last is not None and multipliers is not None and last.program.proper:
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
@@ -166,12 +166,13 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
     balance = max(*(largest(part * program.unit) for part in parts), TINY)
     gain = -float(program.gradient @ z + 0.5 * z @ curvature)
+    balanced = cache(partial(program.multipliers, moves, change, *pushes))
+    size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
     stationarity = program.unrest(largest(curvature * program.unit) / balance, change, gain)
     if stationarity <= KKT:
-        stationarity = max(stationarity, program.unrest(program.unmet(balance, *pushes), change, gain))
-    size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
+        left = max(program.unmet(balance, *pushes), balanced().pulling)
+        stationarity = max(stationarity, program.unrest(left, change, gain), 0.0 if program.proper else size)
     found = local, moves, change, program.along[2], size, local.defects, stationarity
-    balanced = partial(program.multipliers, moves, change, *pushes)
     return Step(*found, relaxed, program, balanced)
 
 
@@ -216,7 +217,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     left = np.maximum(np.minimum(room, force / strongest), -room)
     return replace(
         last, local=local, states=none[0], inputs=none[1], size=0.0,
-        defects=max(local.defects, left.max(initial=0.0), unbalanced),
+        defects=max(local.defects, left.max(initial=0.0), unbalanced, multipliers.pulling),
         stationarity=program.unrest(largest(gradient * program.unit) / balance, change, 0.5 * float((y * y).sum())),
         _balanced=lambda: multipliers,
     )  # fmt: skip

@@ -51,6 +51,11 @@ class Program:
         return all((np.abs(now - then) <= KKT**0.5 * unit).all() for then, now, unit in pairs)
 
     @property
+    def proper(self) -> bool:
+        """Whether no Hessian stands in for the Lagrangian's."""
+        return self.of is not None or self.local.regulated is not None
+
+    @property
     def gradient(self) -> Array:
         """Linear cost."""
         return self.by_state + self.by_input
@@ -88,12 +93,19 @@ class Program:
     def multipliers(self, moves: Array, change: Array, taken: Array, pushes: Array) -> Multipliers:
         """Multipliers of the plan after moves, for those of the rows taken."""
         local = self.local
-        found = np.zeros(len(local.room))
-        found[taken] = pushes
-        found += 2 * self.held * (local.rows.along(moves, change) - self.aims)
+        found = self.pushing(moves, change, taken, pushes)
+        force = found * local.rows.units
         slopes = bent(local, self.hessian, moves, change)
         by_state, by_input = local.rows.pushed(np.maximum(found, 0.0), *slopes)
-        return Multipliers(pulled(*self.along[:3], by_state[None], by_input[None])[1][0, 1:], np.maximum(found, 0.0))
+        costates = pulled(*self.along[:3], by_state[None], by_input[None])[1][0, 1:]
+        pulling = max(-force.min(initial=0.0), 0.0) / max(force.max(initial=0.0), TINY)
+        return Multipliers(costates, np.maximum(found, 0.0), pulling=pulling)
+
+    def pushing(self, moves: Array, change: Array, taken: Any, pushes: Array) -> Array:
+        """Multipliers (m,) of all rows after moves, negative of those that pull."""
+        found = np.zeros(len(self.local.room))
+        found[taken] = pushes
+        return np.asarray(found + 2 * self.held * (self.local.rows.along(moves, change) - self.aims))
 
 
 def program_about(local: Local, dear: float, on: Multipliers | None, relaxed: bool = False) -> Program | None:
