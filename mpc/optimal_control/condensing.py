@@ -18,18 +18,20 @@ from mpc.tolerances import ROUNDED_SUM
 def compile_kernels() -> None:
     """Compile the kernels before a clock runs."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
-    gains, *_ = gains_along(one, one, np.ones((2, 2, 2)))
+    gains, *_ = gains_along(one, one, np.ones((2, 2, 2)), False)
+    gains_along(one, one, np.ones((2, 2, 2)))
     moved(one, one, gains, column, np.ones(1), one)
     pulled(one, one, gains, np.ones((1, 2, 1)), one)
 
 
 @njit(cache=True)
-def gains_along(A: Array, B: Array, weights: Array) -> tuple[Array, Array, Array]:
+def gains_along(A: Array, B: Array, weights: Array, rounding: bool = True) -> tuple[Array, Array, Array]:
     """Gains (N, nu, nx) and prices of the regulator of dx⁺ = A dx + B du.
 
     A (N, nx, nx) and B (N, nx, nu); the weights (N + 1, nx + nu, nx + nu) are [Q S; S' R] of every step and P of the
     end. With them what a deviation v from the regulator, du = v - K dx, costs at every step whatever the others: v'Mv,
-    the M (N, nu, nu), whose diagonals are known to (N, nu): prices of states are rounded where inputs take them away.
+    the M (N, nu, nu), whose diagonals are known to (N, nu), if asked: prices of states are rounded where inputs take
+    them away.
     """
     N, nx, nu = B.shape
     gains = np.zeros((N, nu, nx))
@@ -47,6 +49,8 @@ def gains_along(A: Array, B: Array, weights: Array) -> tuple[Array, Array, Array
         gains[k] = _divided(prices[k], slope)
         V = M[:nx, :nx] - slope.T @ gains[k]
         V = 0.5 * (V + V.T)
+        if not rounding:
+            continue
         rounded[k] = np.diag(B[k].T @ (error @ B[k]))
         closed = A[k] - B[k] @ gains[k]
         sums = np.abs(np.diag(M))

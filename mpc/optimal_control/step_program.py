@@ -154,16 +154,19 @@ def condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, 
     """
     (A, B, _, _), whole = local.about, priced_across(local, held, hessian)
     try:
-        gains, deviating, rounded = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
-        blocks = 2 * deviating if local.regulated is None else by_moves(A, B, gains, whole)
+        weights, own = (whole / 2, True) if local.regulated is None else (local.regulated, False)
+        gains, deviating, rounded = gains_along(A, B, weights, own)
+        blocks = 2 * deviating if own else by_moves(A, B, gains, whole)
         roots = _roots(blocks)
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(roots).all():
         return None
-    pivots = np.diagonal(roots, axis1=1, axis2=2) ** -2.0
-    least = 2 * (rounded + ROUNDED_SUM * np.diagonal(deviating, axis1=1, axis2=2))
-    return whole, gains, blocks, roots, local.regulated is not None or bool((pivots > least).all())
+    known = True
+    if own:
+        least = 2 * (rounded + ROUNDED_SUM * np.diagonal(deviating, axis1=1, axis2=2))
+        known = bool((np.diagonal(roots, axis1=1, axis2=2) ** -2.0 > least).all())
+    return whole, gains, blocks, roots, known
 
 
 def priced_across(local: Local, held: Array, hessian: Array) -> Array:
