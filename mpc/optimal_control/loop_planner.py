@@ -132,8 +132,8 @@ class LoopPlanner:
     def each(self, stated: dict[str, Any], n: int) -> list[Given]:
         """Signals of n states, common or one entry for each."""
         own = {"u_prev": (n, self.loop.phase.inputs), "t": (n,), "w": (n, None, self.loop.functions.nw)}
-        given = {name: value for name, value in stated.items() if value is not None and name in own}
-        rows = {name: as_array(name, v, own[name]) for name, v in given.items() if np.ndim(v) == len(own[name])}
+        given = {name: as_floats(name, v) for name, v in stated.items() if v is not None and name in own}
+        rows = {name: as_array(name, v, own[name]) for name, v in given.items() if v.ndim == len(own[name])}
         return [self.signals(stated | {name: row[i] for name, row in rows.items()}) for i in range(n)]
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:

@@ -68,8 +68,8 @@ class NonlinearMPC(Immutable):
         Parameters of the model; `with_parameters` changes them without building anew.
     iterations : int, optional
         Quadratic programs a sample: 1 is the real-time iteration, which follows the optimum from sample to sample; the
-        first sample, with no plan to follow, goes to the optimum, and one whose program leaves hard limits. By default
-        every sample does.
+        first sample, with no plan to follow, goes to the optimum, and one whose program leaves hard limits or costs
+        twice what would stand in. By default every sample does.
     most_iterations : int
         Of a solver, for one plan that goes to the optimum.
     starts : int

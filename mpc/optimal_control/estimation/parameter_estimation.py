@@ -83,9 +83,9 @@ def estimate_parameters(
     al., "TMB: automatic differentiation and Laplace approximation", Journal of Statistical Software 70, 2016.
     """
     clock = Clock(as_seconds("time_limit", options.get("time_limit")))
-    known = {**signature(solve).parameters, **signature(refine).parameters}
+    known = [name for one in (estimate_parameters, solve, refine) for name in list(signature(one).parameters)[1:]]
     for name in options:
-        as_choice("options", name, ["p_bounds", *(one for one, of in known.items() if of.default is not of.empty)])
+        as_choice("options", name, known)
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)

@@ -243,6 +243,7 @@ def test_wrong_data_are_named(data, name):
         ({"disturbance": [1.0]}, "noise"), ({"states": 0}, "states"), ({"p_guess": [1, 2]}, "p_guess"),
         ({"p_guess": [5.1]}, "^p_guess: .*within p_bounds"), ({"noise": [-1.0]}, "^noise: .*variances > 0"),
         ({"tolerence": 1e-6}, "^options: .*mean tolerance"), ({"p_bound": 3}, "^options: .*mean p_bounds"),
+        ({"x_bound": 3}, "^options: .*mean x_bounds"),
         ({"p_bounds": ([2], [1])}, "p_bounds"), ({"output": lambda x: ca.vertcat(x, x)}, "output"),
         ({"dynamics": lambda x, q: -q * x}, "dynamics"), ({"noise": [1.0], "disturbance": [1.0]}, "dynamics"),
     ],

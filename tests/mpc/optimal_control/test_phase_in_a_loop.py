@@ -302,6 +302,7 @@ def test_loops_that_cannot_be_meant_are_told(stated, argument):
 @pytest.mark.parametrize(
     ("phase", "signals", "argument"),
     [
+        ({"stage_cost": lambda x, u, w: cost(x - w, u), "signal": np.zeros((11, 2))}, {"w": [[1, 2], [1]]}, "w"),
         ({"stage_cost": lambda x, u, t: cost(x, u) + t}, {}, "t"),
         ({"stage_cost": lambda x, u, u_prev: cost(x, u - u_prev)}, {}, "u_prev"),
         ({}, {"t": 0.0}, "t"),
@@ -312,7 +313,7 @@ def test_loops_that_cannot_be_meant_are_told(stated, argument):
 )
 def test_samples_that_cannot_be_meant_are_told(phase, signals, argument):
     with pytest.raises(InputError) as told:
-        NonlinearMPC(push(**phase)).solve([1.0, 0.0], **signals)
+        NonlinearMPC(push(**phase))([1.0, 0.0], **signals)
     assert told.value.argument == argument
 
 
