@@ -202,7 +202,7 @@ class LoopPlanner:
         """Optimum with the multipliers of a program about it, which confirms it."""
         if step is None:
             return plan
-        still = min(step.error, step.size) <= KKT**0.5
+        still = min(step.error, step.size) <= KKT**0.5 or step.saved <= FEASIBLE  # where costs are flat it moves
         status = plan.status if still or plan.status is Status.SOFTENED else Status.INACCURATE
         on = step.multipliers
         nx = self.loop.phase.states

@@ -41,6 +41,7 @@ class Step:
     # of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
     # how far inputs would still move, in parts of their limits, and what part of the cost that would save
     stationarity: float
+    saved: float  # what part of the cost the step saves
     relaxed: bool  # whether limits of states had to be relaxed
     program: Program
     _balanced: Callable[[], Multipliers]
@@ -172,7 +173,7 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
     if stationarity <= KKT:
         left = max(program.unmet(balance, *pushes), balanced().pulling)
         stationarity = max(stationarity, program.unrest(left, change, gain), 0.0 if program.proper else size)
-    found = local, moves, change, program.along[2], size, local.defects, stationarity
+    found = local, moves, change, program.along[2], size, local.defects, stationarity, program.saved(gain)
     return Step(*found, relaxed, program, balanced)
 
 
@@ -216,7 +217,7 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
         unbalanced = largest(np.where(over > 0, np.minimum(np.abs(apart), over), np.maximum(apart, 0.0)))
     left = np.maximum(np.minimum(room, force / strongest), -room)
     return replace(
-        last, local=local, states=none[0], inputs=none[1], size=0.0,
+        last, local=local, states=none[0], inputs=none[1], size=0.0, saved=0.0,
         defects=max(local.defects, left.max(initial=0.0), unbalanced, multipliers.pulling),
         stationarity=program.unrest(largest(gradient * program.unit) / balance, change, 0.5 * float((y * y).sum())),
         _balanced=lambda: multipliers,

@@ -88,7 +88,11 @@ class Program:
         still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
         if still >= found:
             return found
-        return min(found, max(still, abs(gain) / max(abs(local.cost()), local.lost_cost, TINY)))
+        return min(found, max(still, self.saved(gain)))
+
+    def saved(self, gain: float) -> float:
+        """What part of the cost that is."""
+        return abs(gain) / max(abs(self.local.cost()), self.local.lost_cost, TINY)
 
     def multipliers(self, moves: Array, change: Array, taken: Array, pushes: Array) -> Multipliers:
         """Multipliers of the plan after moves, for those of the rows taken."""
