@@ -8,11 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.checks import Array
 from mpc.exceptions import InputError
-from mpc.halfspaces import box_of
+from mpc.halfspaces import box_of, first_positive
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
+from mpc.optimal_control.interior_point import interior_point
 from mpc.optimal_control.quadratic_planner import gain_at_rest
 from mpc.problem import MPCProblem
 from mpc.tolerances import VIOLATION_PRICE
@@ -23,9 +23,9 @@ def real_time_iteration(law: MPCProblem, model: DiscreteModel) -> ca.Function:
 
     Its arguments, those of no entries left out: `state`; `states` (nx, N + 1) and `inputs` (nu, N) of the plan of the
     sample before, which is shifted within; `disturbances` (nw, N); `parameters`; `state_ref` (nx, N + 1); `input_ref`
-    (nu, N); `last_input` with a rate limit; and `multipliers` of the sample before, zero at first. Its results:
-    `new_states`, `new_inputs`, whose first column is to be applied, and `new_multipliers`. Limits of states always have
-    a price, as they have in `NonlinearMPC` where they cannot be kept; those whose multipliers stay below it are hard.
+    (nu, N); and `last_input` with a rate limit. Its results: `new_states`, `new_inputs`, whose first column is to be
+    applied, and `residual` of the program, see `interior_point`. Limits of states always have a price, as they have in
+    `NonlinearMPC` where they cannot be kept; those whose multipliers stay below it are hard.
     """
     nx, nu, N, limited = law.nx, law.nu, law.horizon, law.rate_limit is not None
     arguments = {
@@ -47,18 +47,13 @@ def real_time_iteration(law: MPCProblem, model: DiscreteModel) -> ca.Function:
     at = ca.horzcat(states[:, 1:], model.step(states[:, -1], now[:, -1], w[:, -1], p))
     columns = [column for column in (at[:, :-1], now, w, ca.repmat(p, 1, N)) if not column.is_empty()]
     after, A, B = _of_columns(model.derivatives).map(N)(*columns)
-    data, moves = _program(law, *box)
-    h, g, a, low, high, least = data(x, at, now, after - at[:, 1:], A, B, x_ref, u_ref, last if limited else 0)
-    arguments["multipliers"] = given = ca.MX.sym("multipliers", g.numel() + low.numel())
-    solver = ca.conic("program", "qrqp", {"h": data.sparsity_out(0), "a": data.sparsity_out(2)}, {
-        "print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000,
-    })  # fmt: skip
-    found = solver(h=h, g=g, a=a, lba=low, uba=high, lbx=least, lam_x0=given[: g.numel()], lam_a0=given[g.numel() :])
-    d, v = moves(found["x"])
+    data, moves = _program(law)
+    program = data(x, at, now, after - at[:, 1:], A, B, x_ref, u_ref, last if limited else 0)
+    z, residual = interior_point(data.sparsity_out(0), data.sparsity_out(2), data.sparsity_out(4))(*program)
+    d, v = moves(z)
     kept = {name: value for name, value in arguments.items() if not value.is_empty()}
-    results = [at + d, now + v, ca.vertcat(found["lam_x"], found["lam_a"])]
-    names = ["new_states", "new_inputs", "new_multipliers"]
-    return ca.Function("iteration", list(kept.values()), results, list(kept), names)
+    names = ["new_states", "new_inputs", "residual"]
+    return ca.Function("iteration", list(kept.values()), [at + d, now + v, residual], list(kept), names)
 
 
 def write_c(law: MPCProblem, model: DiscreteModel, folder: Any) -> Path:
@@ -86,10 +81,13 @@ def _of_columns(function: ca.Function) -> ca.Function:
     return ca.Function(name, list(kept.values()), results, list(kept), names)
 
 
-def _program(law: MPCProblem, lowest: Array, highest: Array) -> tuple[ca.Function, ca.Function]:
+def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     """Scaled data of the QP along a plan, and moves of it."""
     nx, nu, N = law.nx, law.nu, law.horizon
-    size_x, size_u = law.state_extent, np.where(law.input_extent > 0, law.input_extent, 1.0)
+    size_x, extent = law.state_extent, first_positive(law.input_extent, np.ones(nu))
+    # within loose bounds inputs are as large as those that cost what states do
+    dear = np.sqrt(size_x @ law.Q @ size_x / np.maximum(np.diag(law.R), float(np.finfo(float).tiny)))
+    size_u = first_positive(np.minimum(extent, dear), extent)
     slacks = N if len(law.state_rows[1]) + len(law.terminal_rows[1]) else 0
     sym = ca.SX.sym
     x, at, now, gaps = sym("x", nx), sym("at", nx, N + 1), sym("now", nu, N), sym("gaps", nx, N)
@@ -104,37 +102,29 @@ def _program(law: MPCProblem, lowest: Array, highest: Array) -> tuple[ca.Functio
     soft = law.soft if law.soft is not None else (ca.fmax(VIOLATION_PRICE * now_cost, float(np.finfo(float).tiny)),) * 2
     for k in range(slacks):
         cost += soft[0] * s[k] + soft[1] * s[k] ** 2
-    rows: list[Any] = []
-    low: list[Array] = []
-    high: list[Array] = []
-
-    def keep(value: Any, least: Any, most: Any) -> None:
-        rows.append(value)
-        low.append(np.broadcast_to(least, value.shape[0]))
-        high.append(np.broadcast_to(most, value.shape[0]))
-
-    keep((at[:, 0] + d[:, 0] - x) / size_x, 0.0, 0.0)
+    equal, below = (
+        [(at[:, 0] + d[:, 0] - x) / size_x],
+        [ca.SX(-1.0), *(-s[k] for k in range(slacks))],
+    )  # one always holds
     for k in range(N):
         then = A[:, k * nx : (k + 1) * nx] @ d[:, k] + B[:, k * nu : (k + 1) * nu] @ v[:, k] + gaps[:, k]
-        keep((then - d[:, k + 1]) / size_x, 0.0, 0.0)
-        keep((now[:, k] + v[:, k]) / size_u, lowest / size_u, highest / size_u)
+        equal.append((then - d[:, k + 1]) / size_x)
+        input_, before = now[:, k] + v[:, k], now[:, k - 1] + v[:, k - 1] if k else last
+        of_input, most = law.input_rows
+        below.append((ca.DM(of_input) @ input_ - most) / (np.abs(of_input) @ size_u))
         if law.rate_limit is not None:
-            before = now[:, k - 1] + v[:, k - 1] if k else last
-            keep((now[:, k] + v[:, k] - before) / law.rate_limit, -1.0, 1.0)
+            change = (input_ - before) / law.rate_limit
+            below += [change - 1, -change - 1]
         sets = [("state", law.state_rows)] + ([("terminal", law.terminal_rows)] if k == N - 1 else [])
         for kind, (H, right) in sets:
             if len(right):
-                over = (ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / law.price_units[kind] - s[k]
-                keep(over, -np.inf, 0.0)
+                below.append((ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / law.price_units[kind] - s[k])
     scale = float(size_u @ law.R @ size_u) + float(size_x @ law.Q @ size_x) or 1.0
-    everything = ca.vertcat(*rows)
-    curvature, g = ca.hessian(cost / scale, z)
-    at_zero = [ca.substitute(value, z, ca.DM.zeros(z.numel())) for value in (g, everything)]
+    results = list(ca.hessian(cost / scale, z))
+    results[1] = ca.substitute(results[1], z, ca.DM.zeros(z.numel()))
+    for rows in (ca.vertcat(*equal), ca.vertcat(*below)):
+        results += [ca.jacobian(rows, z), -ca.substitute(rows, z, ca.DM.zeros(z.numel()))]
     arguments = [x, at, now, gaps, A, B, x_ref, u_ref, last]
-    sides = [ca.DM(np.concatenate(side)) - at_zero[1] for side in (low, high)]
-    smallest = np.full(z.numel(), -np.inf)
-    smallest[[k * width + nx + nu for k in range(slacks)]] = 0.0
-    results: list[Any] = [curvature, at_zero[0], ca.jacobian(everything, z), *sides, ca.DM(smallest)]
     return ca.Function("data", arguments, results, {"cse": True}), ca.Function("moves", [z], [d, v])
 
 

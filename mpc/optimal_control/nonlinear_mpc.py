@@ -390,9 +390,10 @@ class NonlinearMPC(Immutable):
     def to_c(self, folder: str | Path) -> Path:
         """Write a real-time iteration as C: `nonlinear_mpc.c` and header.
 
-        It contains `iteration` (model, derivatives, quadratic program and the active-set solver qrqp of CasADi),
-        `step` and `derivatives`. Left to the caller: the first plan (call `iteration` some times at the first state),
-        and what stands in for a plan that is late or not finite. U is a box.
+        It contains `iteration` (model, derivatives, quadratic program and an interior-point method), `step` and
+        `derivatives`. Left to the caller: the first plan (call `iteration` some times at the first state), and what
+        stands in for a plan that is late or whose `residual` is above 1e-6, where its program is not solved. U is a
+        box.
 
         Parameters
         ----------

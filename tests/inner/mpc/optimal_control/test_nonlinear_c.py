@@ -42,7 +42,15 @@ def compiled(controller, folder):
     return {name: ca.external(name, str(library)) for name in ("iteration", "step", "derivatives")}
 
 
+def cart_pole(x, u, w, p):
+    """Euler's rule, of a pole of the length p upright at 0."""
+    sine, cosine = ca.sin(x[2]), ca.cos(x[2])
+    push = (u + 0.2 * p * x[3] ** 2 * sine - 0.2 * 9.81 * sine * cosine) / (1 + 0.2 * sine**2)
+    return x + 0.04 * ca.vertcat(x[1], push, x[3], (9.81 * sine - push * cosine) / p)
+
+
 LIMITS = {
+    "none": {},
     "inputs": {"U": 3.0},
     "states": {"U": 8.0, "X": [1.5, 3.0]},
     "rates": {"U": 5.0, "rate_limit": 1.5},
@@ -66,11 +74,37 @@ def test_its_program_is_that_of_python(limits, sx, su, cost):
     step = next_step(planner.stages.at(x, at.states, at.inputs, given), dear)
     iteration = real_time_iteration(controller.linear, controller.model)
     arguments = [x, plan.states.T, plan.inputs.T, given["w"][None], controller.p, given["x_ref"].reshape(-1, 2).T,
-                 given["u_ref"][None], *last.values(), 0]  # fmt: skip
-    states, inputs, _ = (np.asarray(value) for value in iteration(*arguments))
+                 given["u_ref"][None], *last.values()]  # fmt: skip
+    states, inputs, residual = (np.asarray(value) for value in iteration(*arguments))
     assert inputs.T / su == pytest.approx((at.inputs + step.inputs) / su, abs=1e-6)
     assert states.T / sx == pytest.approx((at.states + step.states) / sx, abs=1e-6)
+    assert residual < 1e-9
     assert step.relaxed == (limits is LIMITS["states that cannot be kept"])
+
+
+@pytest.mark.parametrize(("start", "goal"), [([0, 0, 0.35, 0], 0.0), ([-0.2, 0, -0.25, 0], 0.55)])
+def test_a_loop_at_the_end_of_the_track_costs_as_much_as_that_of_python(start, goal):
+    most = np.array([0.6, 9, 9, 99])
+    controller = NonlinearMPC(
+        cart_pole, 4, 1, Q=[4, 0.25, 25, 0.25], R=0.01, horizon=30, X=(-most, most), U=(-10, 10), p=[0.5], iterations=1
+    )
+    aim = np.tile([goal, 0, 0, 0], (31, 1))
+    iteration = real_time_iteration(controller.linear, controller.model)
+    plan = controller.solve(start, x_ref=aim)
+    states, inputs = plan.states.T, plan.inputs.T
+    states, inputs = np.hstack([states[:, :1], states[:, :-1]]), np.hstack([inputs[:, :1], inputs[:, :-1]])
+    costs, at = [0.0, 0.0], [np.array(start, dtype=float)] * 2
+    for _ in range(50):
+        states, inputs, residual = (
+            np.asarray(value) for value in iteration(at[0], states, inputs, [0.5], aim.T, np.zeros((1, 30)))
+        )
+        assert residual < 1e-8
+        for i, u in enumerate((inputs[:, 0], controller(at[1], x_ref=aim))):
+            assert abs(u).max() <= 10 + 1e-8
+            assert abs(at[i][0]) <= 0.6 + 1e-6
+            costs[i] += (at[i] - aim[0]) ** 2 @ [4, 0.25, 25, 0.25] + 0.01 * u @ u
+            at[i] = controller.model.next(at[i], u, np.zeros(0), np.array([0.5]))
+    assert costs[0] == pytest.approx(costs[1], rel=1e-5)
 
 
 def ca_cost(controller, plan, given):
@@ -87,10 +121,10 @@ def test_compiled_it_is_the_same_and_controls_like_the_optimum(tmp_path):
     controller = law({"U": 4.0, "X": [1.5, 3.0], "rate_limit": 2.0}, iterations=1)
     c = compiled(controller, tmp_path)
     x, w, p = np.array([0.6, 0.2]), np.zeros((1, N)), controller.p
-    states, inputs, multipliers = np.tile(x[:, None], N + 1), np.zeros((1, N)), 0
+    states, inputs = np.tile(x[:, None], N + 1), np.zeros((1, N))
     optimum = law({"U": 4.0, "X": [1.5, 3.0], "rate_limit": 2.0})
-    first = real_time_iteration(controller.linear, controller.model)(x, states, inputs, w, p, 0, 0, 0, 0)
-    found = c["iteration"](x, states, inputs, w, p, 0, 0, 0, 0)
+    first = real_time_iteration(controller.linear, controller.model)(x, states, inputs, w, p, 0, 0, 0)
+    found = c["iteration"](x, states, inputs, w, p, 0, 0, 0)
     for one, other in zip(first, found):
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-9)
     assert np.asarray(c["step"](x, 0.3, 0.1, p)).ravel() == pytest.approx(controller.model.next(x, [0.3], [0.1], p))
@@ -98,12 +132,13 @@ def test_compiled_it_is_the_same_and_controls_like_the_optimum(tmp_path):
     for one, other in zip(c["derivatives"](x, 0.3, 0.1, p), slopes):
         assert np.asarray(one).ravel() == pytest.approx(np.ravel(other))
     for _ in range(10):  # towards the optimum of the first sample, with the shift taken back
-        states, inputs, multipliers = c["iteration"](x, states, inputs, w, p, 0, 0, 0, multipliers)
+        states, inputs, _ = c["iteration"](x, states, inputs, w, p, 0, 0, 0)
         states, inputs = (np.hstack([np.asarray(v)[:, :1], np.asarray(v)[:, :-1]]) for v in (states, inputs))
     costs = [0.0, 0.0]
     at, last = [x, x], [np.zeros(1), np.zeros(1)]
     for _ in range(60):
-        states, inputs, multipliers = c["iteration"](at[0], states, inputs, w, p, 0, 0, last[0], multipliers)
+        states, inputs, residual = c["iteration"](at[0], states, inputs, w, p, 0, 0, last[0])
+        assert float(residual) < 1e-8
         answers = [np.asarray(inputs)[:, 0], optimum(at[1], u_prev=last[1])]
         for i, u in enumerate(answers):
             costs[i] += at[i] @ np.diag([3.0, 0.2]) @ at[i] + 0.1 * u @ u
