@@ -77,8 +77,8 @@ class NonlinearMPC(Immutable):
         They are that of the linear law, the straight way to the reference, the state held, then inputs by chance. They
         are tried again where a plan that is followed leads to no optimum, or to a worse one than the linear law's.
     time_limit : float, optional
-        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops where an iteration
-        would; the plan is then `LATE`, and the next sample goes on from it.
+        Wall time of a sample [s]. No program but the first is begun that would probably end later, and Ipopt stops
+        where an iteration would; the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------
