@@ -35,9 +35,10 @@ def mesh_errors(
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
-    quadrature; by collocation also limits that are passed between the points, by their multipliers, and inputs that
-    would be at a bound there, by the Hamiltonian. Zero for discrete dynamics; infinite where the dynamics are
-    not finite between the points.
+    quadrature, prices of soft limits among it: by the polynomials of inputs or straight lines, which misses less;
+    by collocation also limits that are passed between the points, by their multipliers, and inputs that would be at a
+    bound there, by the Hamiltonian. Zero for discrete dynamics; infinite where the dynamics are not finite between the
+    points.
 
     References
     ----------
@@ -83,12 +84,16 @@ def _by_residual(
     later = scheme.matrix[int(scheme.continuous_inputs) :] / scheme.matrix[-1]
     costates = np.einsum("mj,kmi->kji", later, multipliers["rows"][part.defects].reshape(N, len(later), -1))
     of_cost = np.einsum("t,tj,kji,kti->k", weights, basis, costates, missed, optimize=True)
-    if part.functions.stage_cost is not None:
-        cost, stages, places = part.functions.stage_cost, phase.stages, phase.stages.times.ravel()
-        fine = phase.evaluated(cost, x, u, times).reshape(N, -1) @ weights
-        states, inputs = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
-        counted = phase.evaluated(cost, states, inputs, places).reshape(N, -1) @ scheme.matrix[-1]
-        of_cost = of_cost + phase.weight * (fine - counted)
+    stages, places, f = phase.stages, phase.stages.times.ravel(), part.functions
+    states, inputs = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
+
+    def uncounted(cost: Any, along: Array) -> Array:
+        fine = phase.evaluated(cost, x, along, times).reshape(N, -1) @ weights
+        return np.asarray(fine - phase.evaluated(cost, states, inputs, places).reshape(N, -1) @ scheme.matrix[-1])
+
+    priced, by_lines = (uncounted(f.price, along) for along in (u, _lines(scheme, stages.inputs[k], at)))
+    less = np.where(np.abs(by_lines) < np.abs(priced), by_lines - priced, 0.0)
+    of_cost = of_cost + phase.weight * (uncounted(f.priced.stage_cost, u) + less)
     passed = np.maximum(_beyond(phase, k + at), 0.0).reshape(-1, N, len(tau))
     prices = _prices(phase, multipliers)
     of_limits = np.einsum("t,tj,kjm,mkt->k", weights, np.maximum(basis, 0.0), prices, passed, optimize=True)
@@ -107,19 +112,17 @@ def _by_residual(
 def _saved(phase: PhaseSolution, x: Array, u: Array, times: Array, costates: Array, bounds: Array) -> Array:
     """What inputs nearly at their bounds (2, nu, n) save of the Hamiltonian (n,).
 
-    One at a time, where it passes no limit by that.
+    One at a time, where it passes no hard limit by that.
     """
-    functions = phase.part.functions
+    functions = phase.part.functions.priced
 
     def hamiltonian(inputs: Array) -> Array:
         value = (costates * phase.evaluated(functions.dynamics, x, inputs, times).reshape(x.shape)).sum(axis=1)
-        if functions.stage_cost is not None:
-            value = value + phase.weight * phase.evaluated(functions.stage_cost, x, inputs, times).ravel()
-        return np.asarray(value)
+        return np.asarray(value + phase.weight * phase.evaluated(functions.stage_cost, x, inputs, times).ravel())
 
     def over(inputs: Array) -> Array:
-        known = functions.path is not None
-        return np.maximum(_over_path(phase, x, inputs, times), 0.0) if known else np.zeros((0, len(x)))
+        known, hard = functions.path is not None, np.isinf(functions.path_prices[0])
+        return np.maximum(_over_path(phase, x, inputs, times)[hard], 0.0) if known else np.zeros((0, len(x)))
 
     own, passed = hamiltonian(u), over(u)
     least = own
@@ -147,11 +150,15 @@ def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers:
     """Differences (N, nx) by finer integration, also from row to row of a signal's table, and cost errors."""
     part, x, u = phase.part, phase.states[:-1].T, phase.stages.inputs[:, 0].T
     steps = scheme.substeps if scheme.integrator == "rk4" else 1
-    finer = replace(scheme, tolerance=0.01 * scheme.tolerance)
+    finer, priced = replace(scheme, tolerance=0.01 * scheme.tolerance), replace(part, functions=part.functions.priced)
     (_, cost), (states, finer_cost) = (
-        stepped(part, x, u, phase.p, phase.times, one, count)
-        for one, count in ((scheme, steps), (finer, max(2 * steps, rows_within(part))))
+        stepped(of, x, u, phase.p, phase.times, one, count)
+        for of, one, count in ((part, scheme, steps), (priced, finer, max(2 * steps, rows_within(part))))
     )
+    h, inputs = np.diff(phase.times), np.hstack([u, u[:, -1:]]).T
+    prices = phase.evaluated(part.functions.price, phase.states, inputs, phase.times).ravel()
+    cost = cost + h * prices[:-1]
+    cost[-1] += h[-1] * prices[-1]  # at the end, too
     ends = states[:, -1] - phase.states[1:]
     costates = multipliers["rows"][part.defects].reshape(ends.shape)
     of_cost = phase.weight * (finer_cost - cost) + (costates * ends).sum(axis=1)
@@ -317,10 +324,15 @@ def _beyond(phase: PhaseSolution, places: Array) -> Array:
     if isinstance(scheme, Collocation):
         k = np.minimum(places.astype(int), part.intervals - 1)
         tau, h = places - k, np.diff(phase.times)[k]
-        lines = np.stack([np.interp(tau, scheme.points, one) for one in np.eye(scheme.stages)], axis=1)
-        between = of_path(np.einsum("nj,nji->ni", lines, phase.stages.inputs[k]))
+        between = of_path(_lines(scheme, phase.stages.inputs[k], tau))
         passed = np.maximum(np.minimum(passed, between), passed * h / phase.duration)
     return np.vstack([passed, of_states])
+
+
+def _lines(scheme: Collocation, inputs: Array, tau: Array) -> Array:
+    """Inputs (n, nu) at fractions (n,) of intervals, linear between theirs (n, stages, nu) at the points."""
+    lines = np.stack([np.interp(tau, scheme.points, one) for one in np.eye(scheme.stages)], axis=1)
+    return np.asarray(np.einsum("nj,nji->ni", lines, inputs))
 
 
 def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> Array:

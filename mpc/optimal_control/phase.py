@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -231,6 +232,25 @@ class PhaseFunctions:
     def path_slopes(self) -> ca.Function:
         """Derivatives of the path values by states and inputs."""
         return slopes_of(self.path)
+
+    @cached_property
+    def price(self) -> ca.Function:
+        """Price of violated path limits at columns (x, u, w, p, t)."""
+        at, total = self.dynamics.mx_in(), ca.MX(0)
+        value = self.path_at(*at)
+        for side, sign in zip(self.path_bounds, (1.0, -1.0)):
+            for i in np.flatnonzero(np.isfinite([*self.path_prices, side]).all(axis=0)):
+                over = sign * (side[i] - value[int(i)])
+                linear, quadratic = self.path_prices[:, i]
+                total += (over > 0) * (linear * over + quadratic * over**2)  # NaN where the value is
+        return ca.Function("price", at, [total])
+
+    @cached_property
+    def priced(self) -> PhaseFunctions:
+        """Functions whose stage cost includes that price."""
+        found, at = copy(self), self.dynamics.mx_in()
+        found.stage_cost = ca.Function("stage_cost", at, [self.cost_at(*at) + self.price(*at)])
+        return found
 
     def cost_at(self, *at: Any) -> Any:
         """Stage cost at columns (x, u, w, p, t); 0 without one."""

@@ -8,6 +8,7 @@ import pytest
 from classical_problems import CLASSICAL
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from scipy.optimize import brentq
 from trajectory_verdicts import coarse, field, judged_field, judged_mesh
 
 from mpc.optimal_control import (
@@ -377,3 +378,46 @@ def test_what_the_solver_leaves_at_bounds_saves_nothing():
     found = solve(build(phase, intervals=400))
     assert found.solved, found.advice
     assert found.cost_error < 1e-8
+
+
+def dear_to_pass(dearness):
+    """From 0 to 2 in 1 s with the least ∫u² and dearness · (x − 1)² beyond 1, stated by two limits, and its cost."""
+    root = np.sqrt(dearness)
+    cut = brentq(lambda t: 1 / t - root / np.sinh(root * (1 - t)), 0.2, 0.9999)  # when 1 is passed
+    return Phase(
+        lambda u: u, 1, 1, start=[0], end=[2], duration=1.0, stage_cost=lambda u: u**2,
+        path=lambda x: ca.vertcat(x, -2 * x), path_bounds=([-np.inf, -2], [1, np.inf]),
+        path_prices=([0, 0], [dearness / 2, dearness / 8]),
+    ), 1 / cut + root / np.tanh(root * (1 - cut))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "scheme", [Radau(3), HermiteSimpson(), Trapezoidal(), MultipleShooting()], ids=lambda s: s.name
+)
+def test_prices_of_limits_between_the_points_count_in_the_error_of_the_cost(scheme):
+    for dearness in (500, 50_000):
+        phase, true = dear_to_pass(dearness)
+        found = solve(build(phase, scheme, 10))
+        assert found.status is OptimalControlStatus.COARSE
+        assert 0.1 < found.cost_error / (found.cost - true) < 10
+
+
+@pytest.mark.parametrize("dearness", [50, 5000])
+def test_refined_costs_are_exact_where_limits_have_a_price(dearness):
+    phase, true = dear_to_pass(dearness)
+    found = refine(phase, of="cost", tolerance=1e-6)
+    assert found.solved, found.advice
+    assert found.cost == pytest.approx(true, rel=1e-6)
+
+
+def test_linear_prices_of_limits_count_in_the_error_of_the_cost():
+    # ẍ = a/2 beyond 1, which is passed as fast as it was come to
+    price = 200.0
+    cut = brentq(lambda t: (1 - t) / t + price * (1 - t) ** 2 / 4 - 1, 0.5, 1)
+    speed, left = 1 / cut, 1 - cut
+    true = speed + ((speed + price * left / 2) ** 3 - speed**3) / (1.5 * price)
+    true += price * (speed * left**2 / 2 + price * left**3 / 12)
+    phase = replace(dear_to_pass(1)[0], path=lambda x: x, path_bounds=(-np.inf, 1), path_prices=(price, 0))
+    found = solve(build(phase, HermiteSimpson(), 7))
+    assert 0.1 < found.cost_error / abs(found.cost - true) < 10
+    assert refine(phase, of="cost", tolerance=1e-6).cost == pytest.approx(true, rel=1e-6)
