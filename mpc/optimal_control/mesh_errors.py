@@ -330,7 +330,7 @@ def _beyond(phase: PhaseSolution, places: Array) -> Array:
 
 
 def _lines(scheme: Collocation, inputs: Array, tau: Array) -> Array:
-    """Inputs (n, nu) at fractions (n,) of intervals, linear between theirs (n, stages, nu) at the points."""
+    """Inputs (n, nu) at fractions (n,) of intervals, linear between points (n, stages, nu)."""
     lines = np.stack([np.interp(tau, scheme.points, one) for one in np.eye(scheme.stages)], axis=1)
     return np.asarray(np.einsum("nj,nji->ni", lines, inputs))
 

@@ -235,7 +235,7 @@ class PhaseFunctions:
 
     @cached_property
     def price(self) -> ca.Function:
-        """Price of violated path limits at columns (x, u, w, p, t)."""
+        """Price of violations at columns (x, u, w, p, t)."""
         at, total = self.dynamics.mx_in(), ca.MX(0)
         value = self.path_at(*at)
         for side, sign in zip(self.path_bounds, (1.0, -1.0)):
@@ -247,7 +247,7 @@ class PhaseFunctions:
 
     @cached_property
     def priced(self) -> PhaseFunctions:
-        """Functions whose stage cost includes that price."""
+        """Functions with it in the stage cost."""
         found, at = copy(self), self.dynamics.mx_in()
         found.stage_cost = ca.Function("stage_cost", at, [self.cost_at(*at) + self.price(*at)])
         return found
