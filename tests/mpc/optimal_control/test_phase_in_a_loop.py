@@ -377,26 +377,6 @@ def test_plans_followed_by_programs_are_the_optima_of_the_solver(scale, prices):
     assert by.count("SQP") >= 9
 
 
-def test_economic_loops_whose_costs_fall_are_followed_by_programs():
-    """A bioreactor whose feed goes from limit to limit of its rate; all went to Ipopt, 59 of 60 samples."""
-
-    def reactor(x, u):
-        for _ in range(4):
-            growth = 0.4 * x[0] * x[1] / (1.2 + x[1] + x[1] ** 2 / 22)
-            x = x + 0.25 * ca.vertcat(growth - u * x[0], u * (20 - x[1]) - growth / 0.4)
-        return x
-
-    limits = {"u_bounds": (0, 0.4), "x_bounds": ([0.1, 0.01], [12, 20])}
-    phase = Phase(reactor, 2, 1, discrete=True, duration=20, stage_cost=lambda x, u: -u * x[0], **limits)
-    law, x, u, found = NonlinearMPC(phase, rate_limit=0.05), np.array([4.0, 5.0]), np.zeros(1), []
-    for _ in range(8):
-        u = law(x, u_prev=u)
-        (plan,) = law.last_plans
-        found.append((plan.status.name, plan.solver))
-        x = plan.states[1]
-    assert found[1:] == [("SOLVED", "SQP")] * 7
-
-
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e-4])
 def test_a_state_thrown_beyond_a_hard_limit_comes_back_as_fast_as_it_can_by_programs(unit):
     phase = Phase(
