@@ -185,10 +185,10 @@ def flattened(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, 
     rises, found = (condensed(local, none.pushes, one) for one in (local.hessian(none), local.convex()))
     if found is None or (rises is not None and rises[-1]):
         return None
-    _, gains, _, _, known = found
-    whole, unit = priced_across(local, held, hessian), np.tile(local.sizes[1], len(local.inputs))
+    _, gains, blocks, _, known = found
+    whole, unit = priced_across(local, held, hessian), 1 / np.sqrt(np.diagonal(blocks, axis1=1, axis2=2).ravel())
     values, vectors = np.linalg.eigh(unit[:, None] * by_moves(*local.about[:2], gains, whole)[0] * unit)
-    values = np.maximum(values, NEGLIGIBLE * local.force)
+    values = np.maximum(values, NEGLIGIBLE)
     blocks = (vectors * values) @ vectors.T / unit[:, None] / unit
     return whole, gains, blocks[None], (unit[:, None] * vectors / np.sqrt(values))[None], known
 
