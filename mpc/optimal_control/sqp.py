@@ -153,13 +153,10 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, times: float 
         confirmed = _confirmed(local, times * dear, multipliers, last)
         if confirmed.error <= KKT:
             return confirmed
-    tried: list[tuple[Multipliers | None, bool]] = [(None, False)]  # which, and whether it is made flat where it falls
-    if multipliers is not None:
-        own = replace(multipliers, hessian=None)
-        tried = [(own, False), (own, True), *tried]
-        if multipliers.hessian is not None:
-            tried.insert(0, (multipliers, False))
-    program = next(filter(None, (program_about(local, dear, on, relaxed, flat=flat) for on, flat in tried)), None)
+    tried = [multipliers, None]
+    if multipliers is not None and multipliers.hessian is not None:
+        tried.insert(1, replace(multipliers, hessian=None))
+    program = next(filter(None, (program_about(local, dear, one, relaxed) for one in tried)), None)
     if program is None:
         return None
     z, relaxed, solved, *pushes = _solve(program, times * dear, relaxed)

@@ -11,7 +11,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.optimal_control.condensing import gains_along, moved, pulled
 from mpc.optimal_control.local_statement import Along, Local, Multipliers, both, largest
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, NEGLIGIBLE, ROUNDED_SUM, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, ROUNDED_SUM, VIOLATION_PRICE
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -112,8 +112,7 @@ class Program:
         return np.asarray(found + 2 * self.held * (self.local.rows.along(moves, change) - self.aims))
 
 
-def program_about(local: Local, dear: float, on: Multipliers | None, relaxed: bool = False, *,
-                  flat: bool = False) -> Program | None:  # fmt: skip
+def program_about(local: Local, dear: float, on: Multipliers | None, relaxed: bool = False) -> Program | None:
     """Program about v = 0, None where it is not convex."""
     A, B, gaps, first = local.about
     rows, held = local.rows, np.zeros(len(local.room)) if on is None else prices_across(local, dear, on.pushes, relaxed)
@@ -121,9 +120,9 @@ def program_about(local: Local, dear: float, on: Multipliers | None, relaxed: bo
     try:
         if hessian is None:
             hessian = local.convex() if on is None else local.hessian(on)
-        found = flattened(local, held, hessian) if flat else condensed(local, held, hessian)
     except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
         return None
+    found = condensed(local, held, hessian)
     if found is None or not found[-1]:
         return None
     whole, gains, blocks, roots, _ = found
@@ -137,8 +136,7 @@ def program_about(local: Local, dear: float, on: Multipliers | None, relaxed: bo
     by_input = np.array([part for _, of_inputs in slopes for part in (0 * of_inputs, of_inputs)])
     own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
     left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
-    return Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left,
-                   None if flat else on)  # fmt: skip
+    return Program(local, dear, along, hessian, held, aims, blocks, roots, (drift, lead), own, other, left, on)
 
 
 def prices_across(local: Local, dear: float, pushes: Array, relaxed: bool) -> Array:
@@ -173,24 +171,6 @@ def condensed(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, 
         least = 2 * (rounded + ROUNDED_SUM * np.diagonal(deviating, axis1=1, axis2=2))
         known = bool((np.diagonal(roots, axis1=1, axis2=2) ** -2.0 > least).all())
     return whole, gains, blocks, roots, known
-
-
-def flattened(local: Local, held: Array, hessian: Array) -> tuple[Array, Array, Array, Array, bool] | None:
-    """Result of `condensed`, flat where the Hessian falls.
-
-    None where that of the costs rises along the model. What stands in for costs that fall may curve less than half as
-    much as the Lagrangian: steps by it lead away from an optimum.
-    """
-    none = Multipliers(np.zeros(local.about[0].shape[:2]), np.zeros(len(held)))
-    rises, found = (condensed(local, none.pushes, one) for one in (local.hessian(none), local.convex()))
-    if found is None or (rises is not None and rises[-1]):
-        return None
-    _, gains, blocks, _, known = found
-    whole, unit = priced_across(local, held, hessian), 1 / np.sqrt(np.diagonal(blocks, axis1=1, axis2=2).ravel())
-    values, vectors = np.linalg.eigh(unit[:, None] * by_moves(*local.about[:2], gains, whole)[0] * unit)
-    values = np.maximum(values, NEGLIGIBLE)
-    blocks = (vectors * values) @ vectors.T / unit[:, None] / unit
-    return whole, gains, blocks[None], (unit[:, None] * vectors / np.sqrt(values))[None], known
 
 
 def priced_across(local: Local, held: Array, hessian: Array) -> Array:

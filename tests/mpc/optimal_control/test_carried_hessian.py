@@ -83,23 +83,3 @@ def test_multipliers_of_another_statement_are_not_begun_with():
     start(START)
     for law in (NonlinearMPC(signal), by_phase()):
         assert law.solve(START, start=start.last_plans[0]).cost == pytest.approx(law.solve(START).cost, rel=1e-7)
-
-
-def test_economic_loops_whose_costs_fall_are_followed_by_programs():
-    """A bioreactor whose feed goes from limit to limit of its rate; all went to Ipopt, 59 of 60 samples."""
-
-    def reactor(x, u):
-        for _ in range(4):
-            growth = 0.4 * x[0] * x[1] / (1.2 + x[1] + x[1] ** 2 / 22)
-            x = x + 0.25 * ca.vertcat(growth - u * x[0], u * (20 - x[1]) - growth / 0.4)
-        return x
-
-    limits = {"u_bounds": (0, 0.4), "x_bounds": ([0.1, 0.01], [12, 20])}
-    phase = Phase(reactor, 2, 1, discrete=True, duration=20, stage_cost=lambda x, u: -u * x[0], **limits)
-    law, x, u, found = NonlinearMPC(phase, rate_limit=0.05), np.array([4.0, 5.0]), np.zeros(1), []
-    for _ in range(8):
-        u = law(x, u_prev=u)
-        (plan,) = law.last_plans
-        found.append((plan.status.name, plan.solver))
-        x = plan.states[1]
-    assert found[1:] == [("SOLVED", "SQP")] * 7
