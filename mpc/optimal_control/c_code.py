@@ -15,7 +15,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.interior_point import interior_point
 from mpc.optimal_control.quadratic_planner import gain_at_rest
 from mpc.problem import MPCProblem
-from mpc.tolerances import VIOLATION_PRICE
+from mpc.tolerances import NEGLIGIBLE, VIOLATION_PRICE
 
 
 def real_time_iteration(law: MPCProblem, model: DiscreteModel) -> ca.Function:
@@ -84,10 +84,12 @@ def _of_columns(function: ca.Function) -> ca.Function:
 def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     """Scaled data of the QP along a plan, and moves of it."""
     nx, nu, N = law.nx, law.nu, law.horizon
-    size_x, extent = law.state_extent, first_positive(law.input_extent, np.ones(nu))
-    # within loose bounds inputs are as large as those that cost what states do
-    dear = np.sqrt(size_x @ law.Q @ size_x / np.maximum(np.diag(law.R), float(np.finfo(float).tiny)))
-    size_u = first_positive(np.minimum(extent, dear), extent)
+    weights = np.concatenate([np.diag(law.Q), np.diag(law.R)])
+    sizes = np.concatenate([law.state_size, first_positive(law.input_extent, np.ones(nu))])
+    worth = weights * sizes**2
+    least = float(worth[worth > 0].min()) if (worth > 0).any() else 1.0
+    # sizes are those that cost the same, so that neither units nor loose bounds tell any
+    size_x, size_u = np.split(np.where(worth > 0, np.sqrt(least / np.where(worth > 0, weights, 1.0)), sizes), [nx])
     slacks = N if len(law.state_rows[1]) + len(law.terminal_rows[1]) else 0
     sym = ca.SX.sym
     x, at, now, gaps = sym("x", nx), sym("at", nx, N + 1), sym("now", nu, N), sym("gaps", nx, N)
@@ -99,13 +101,18 @@ def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     d = ca.diag(size_x) @ ca.horzcat(stages[:nx, :], z[width * N :])
     v, s = ca.diag(size_u) @ stages[nx : nx + nu, :], stages[nx + nu :, :]
     now_cost, cost = (_cost(law, at + i * d - x_ref, now + i * v - u_ref) for i in (0, 1))
-    soft = law.soft if law.soft is not None else (ca.fmax(VIOLATION_PRICE * now_cost, float(np.finfo(float).tiny)),) * 2
+    now_cost += ca.bilin(law.Q + law.P, x - at[:, 0])
+    dear = VIOLATION_PRICE * ca.fmax(now_cost, NEGLIGIBLE**2 * least)
+    soft, curved = (
+        ((dear, dear), dear)
+        if law.soft is None
+        else (law.soft, max(law.soft[1], (law.soft[0] / VIOLATION_PRICE) ** 2 / least))
+    )
+    of_slack = ca.sqrt(least / curved)
     for k in range(slacks):
-        cost += soft[0] * s[k] + soft[1] * s[k] ** 2
-    equal, below = (
-        [(at[:, 0] + d[:, 0] - x) / size_x],
-        [ca.SX(-1.0), *(-s[k] for k in range(slacks))],
-    )  # one always holds
+        cost += soft[0] * of_slack * s[k] + soft[1] * (of_slack * s[k]) ** 2
+    equal = [(at[:, 0] + d[:, 0] - x) / size_x]
+    below = [ca.SX(-1.0), *(-s[k] for k in range(slacks))]  # the first always holds, so that there is one
     for k in range(N):
         then = A[:, k * nx : (k + 1) * nx] @ d[:, k] + B[:, k * nu : (k + 1) * nu] @ v[:, k] + gaps[:, k]
         equal.append((then - d[:, k + 1]) / size_x)
@@ -118,9 +125,9 @@ def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
         sets = [("state", law.state_rows)] + ([("terminal", law.terminal_rows)] if k == N - 1 else [])
         for kind, (H, right) in sets:
             if len(right):
-                below.append((ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / law.price_units[kind] - s[k])
-    scale = float(size_u @ law.R @ size_u) + float(size_x @ law.Q @ size_x) or 1.0
-    results = list(ca.hessian(cost / scale, z))
+                over = (ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / law.price_units[kind] - of_slack * s[k]
+                below.append(over / (np.abs(H) @ size_x / law.price_units[kind] + of_slack))
+    results = list(ca.hessian(cost / least, z))
     results[1] = ca.substitute(results[1], z, ca.DM.zeros(z.numel()))
     for rows in (ca.vertcat(*equal), ca.vertcat(*below)):
         results += [ca.jacobian(rows, z), -ca.substitute(rows, z, ca.DM.zeros(z.numel()))]

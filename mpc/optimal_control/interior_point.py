@@ -7,7 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.tolerances import KKT, SOLVERS
+from mpc.optimal_control.step_program import TINY
+from mpc.tolerances import KKT, SOLVERS, VIOLATION_PRICE
 
 
 def interior_point(H: ca.Sparsity, E: ca.Sparsity, G: ca.Sparsity, steps: int = 50) -> ca.Function:
@@ -15,14 +16,18 @@ def interior_point(H: ca.Sparsity, E: ca.Sparsity, G: ca.Sparsity, steps: int = 
 
     z is where ½ z'Hz + g'z is least with Ez = e and Gz ≤ k, G with rows. Steps are centred as by Mehrotra (SIAM Journal
     on Optimization 2, 1992), each by one LDL factorisation, of a quasidefinite matrix (Vanderbei, SIAM Journal on
-    Optimization 5, 1995); the best is returned. Programs of MPC take 8 to 20. The residual is the norm of what rows are
-    passed by, and, beside the largest entry of g or 1, of the gradient and of products of multipliers and room.
+    Optimization 5, 1995); the best is returned. Programs of MPC take 8 to 20. The residual is the norm of the gradient,
+    of what rows are passed by, and of products of multipliers and room, beside the largest of g, e and what z = 0
+    passes. Units of z should give H about 1 on its diagonal.
     """
     n, equal, rows = H.size1(), E.size1(), G.size1()
     shapes: dict[str, Any] = {"H": H, "g": n, "E": E, "e": equal, "G": G, "k": rows}
     given = [ca.MX.sym(name, shape) for name, shape in shapes.items()]
     now, best, least = ca.MX.sym("now", n + equal + 2 * rows), ca.MX.sym("best", n), ca.MX.sym("least")
     stated, moved = _step(shapes, n, equal, rows)
+    asked = ca.vertcat(given[1], given[3], ca.fmin(given[5], 0.0))
+    size = ca.fmax(ca.norm_inf(asked), TINY)
+    sized = [one / size if name in "gek" else one for name, one in zip(shapes, given)]
     matrix, right, residual, z = stated(now, *given)
     nearer = residual < least
     after = moved(now, *given, ca.solve(matrix, right, "ldl"))
@@ -30,11 +35,11 @@ def interior_point(H: ca.Sparsity, E: ca.Sparsity, G: ca.Sparsity, steps: int = 
     step = ca.Function("interior_step", [now, best, least, *given], results)
     done = ca.Function("done", [now, best, least, *given], [now, best, least])
     until_done = ca.Function.if_else("until_done", step, done)
-    pushes = ca.repmat(ca.fmax(ca.norm_inf(given[1]), 1.0), rows)
-    at: Any = [ca.vertcat(ca.DM.zeros(n + equal), ca.fmax(given[-1], 1.0), pushes), ca.DM.zeros(n), ca.inf]
+    first = ca.vertcat(ca.DM.zeros(n + equal), ca.fmax(sized[-1], 1.0), VIOLATION_PRICE * ca.DM.ones(rows))
+    at: Any = [first, ca.DM.zeros(n), ca.inf]
     for _ in range(steps):
-        at = until_done(at[2] > SOLVERS, *at, *given)
-    return ca.Function("interior_point", given, at[1:], list(shapes), ["z", "residual"])
+        at = until_done(at[2] > SOLVERS, *at, *sized)
+    return ca.Function("interior_point", given, [size * at[1], at[2]], list(shapes), ["z", "residual"])
 
 
 def _step(shapes: dict[str, Any], n: int, equal: int, rows: int) -> tuple[ca.Function, ca.Function]:
@@ -43,8 +48,7 @@ def _step(shapes: dict[str, Any], n: int, equal: int, rows: int) -> tuple[ca.Fun
     now, moves = ca.MX.sym("now", n + equal + 2 * rows), ca.MX.sym("moves", n + equal, 2)
     z, costates, room, pushes = ca.vertsplit(now, np.cumsum([0, n, equal, rows, rows]).tolist())
     gradient, gaps, over = H @ z + g + E.T @ costates + G.T @ pushes, E @ z - e, G @ z + room - k
-    along = ca.vertcat(gradient, room * pushes) / ca.fmax(ca.norm_inf(g), 1.0)
-    residual = ca.norm_2(ca.vertcat(gaps, over, along))
+    residual = ca.norm_2(ca.vertcat(gradient, gaps, over, room * pushes))
     curved = H + G.T @ ca.diag(pushes / room) @ G + SOLVERS * ca.MX.eye(n)
     matrix = ca.blockcat([[curved, E.T], [E, -SOLVERS * ca.MX.eye(equal)]])
     # towards the optimum, and towards the centre
