@@ -35,7 +35,7 @@ def mesh_errors(
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
-    quadrature, prices of soft limits among it: by the polynomials of inputs or straight lines, which misses less;
+    quadrature, prices of soft limits among it, of inputs alone by polynomials or straight lines, which misses less;
     by collocation also limits that are passed between the points, by their multipliers, and inputs that would be at a
     bound there, by the Hamiltonian. Zero for discrete dynamics; infinite where the dynamics are not finite between the
     points.
@@ -91,7 +91,7 @@ def _by_residual(
         fine = phase.evaluated(cost, x, along, times).reshape(N, -1) @ weights
         return np.asarray(fine - phase.evaluated(cost, states, inputs, places).reshape(N, -1) @ scheme.matrix[-1])
 
-    priced, by_lines = (uncounted(f.price, along) for along in (u, _lines(scheme, stages.inputs[k], at)))
+    priced, by_lines = (uncounted(f.price_of_inputs, along) for along in (u, _lines(scheme, stages.inputs[k], at)))
     less = np.where(np.abs(by_lines) < np.abs(priced), by_lines - priced, 0.0)
     of_cost = of_cost + phase.weight * (uncounted(f.priced.stage_cost, u) + less)
     passed = np.maximum(_beyond(phase, k + at), 0.0).reshape(-1, N, len(tau))

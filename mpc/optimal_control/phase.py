@@ -236,11 +236,20 @@ class PhaseFunctions:
     @cached_property
     def price(self) -> ca.Function:
         """Price of violations at columns (x, u, w, p, t)."""
+        return self._priced(set(range(self.path_prices.shape[1])))
+
+    @cached_property
+    def price_of_inputs(self) -> ca.Function:
+        """Price of violations of inputs alone."""
+        of_states = [] if self.path is None else self.path.jac_sparsity(0, 0).row()
+        return self._priced(set(range(self.path_prices.shape[1])).difference(of_states))
+
+    def _priced(self, entries: set[int]) -> ca.Function:
         at, total = self.dynamics.mx_in(), ca.MX(0)
         value = self.path_at(*at)
         for side, sign in zip(self.path_bounds, (1.0, -1.0)):
-            for i in np.flatnonzero(np.isfinite([*self.path_prices, side]).all(axis=0)):
-                over = sign * (side[i] - value[int(i)])
+            for i in entries.intersection(np.flatnonzero(np.isfinite([*self.path_prices, side]).all(axis=0)).tolist()):
+                over = sign * (side[i] - value[i])
                 linear, quadratic = self.path_prices[:, i]
                 total += (over > 0) * (linear * over + quadratic * over**2)  # NaN where the value is
         return ca.Function("price", at, [total])
