@@ -103,14 +103,11 @@ def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     now_cost, cost = (_cost(law, at + i * d - x_ref, now + i * v - u_ref) for i in (0, 1))
     now_cost += ca.bilin(law.Q + law.P, x - at[:, 0])
     dear = VIOLATION_PRICE * ca.fmax(now_cost, NEGLIGIBLE**2 * least)
-    soft, curved = (
-        ((dear, dear), dear)
-        if law.soft is None
-        else (law.soft, max(law.soft[1], (law.soft[0] / VIOLATION_PRICE) ** 2 / least))
-    )
+    linear, quadratic = (dear, dear) if law.soft is None else law.soft
+    curved = dear if law.soft is None else max(quadratic, (linear / VIOLATION_PRICE) ** 2 / least)
     of_slack = ca.sqrt(least / curved)
     for k in range(slacks):
-        cost += soft[0] * of_slack * s[k] + soft[1] * (of_slack * s[k]) ** 2
+        cost += linear * of_slack * s[k] + quadratic * (of_slack * s[k]) ** 2
     equal = [(at[:, 0] + d[:, 0] - x) / size_x]
     below = [ca.SX(-1.0), *(-s[k] for k in range(slacks))]  # the first always holds, so that there is one
     for k in range(N):

@@ -391,9 +391,12 @@ class NonlinearMPC(Immutable):
         """Write a real-time iteration as C: `nonlinear_mpc.c` and header.
 
         It contains `iteration` (model, derivatives, quadratic program and an interior-point method), `step` and
-        `derivatives`. Left to the caller: the first plan (call `iteration` some times at the first state), and what
-        stands in for a plan that is late or whose `residual` is above 1e-6, where its program is not solved. U is a
-        box.
+        `derivatives`. Arguments of `iteration`, by columns, are state (nx), states (nx, N + 1) and inputs (nu, N) of
+        the plan before as it was returned, then, where the law has them, disturbances (nw, N) and parameters (np),
+        state_ref (nx, N + 1), input_ref (nu, N) and, with a rate limit, last_input (nu); NULL stands for zeros. Results
+        are new_states, new_inputs, whose first column is to be applied, and residual. Left to the caller: the first
+        plan (call it some times at the first state), and what stands in where it is late or the residual is above 1e-6,
+        not solved: then apply the second column of the plan before, and pass that shifted by one. U is a box.
 
         Parameters
         ----------
