@@ -84,7 +84,7 @@ def _of_columns(function: ca.Function) -> ca.Function:
 def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     """Scaled data of the QP along a plan, and moves of it."""
     nx, nu, N = law.nx, law.nu, law.horizon
-    weights = np.concatenate([np.diag(law.Q), np.diag(law.R)])
+    weights = np.concatenate([np.diag(law.Q + law.P), np.diag(law.R)])
     sizes = np.concatenate([law.state_size, first_positive(law.input_extent, np.ones(nu))])
     worth = weights * sizes**2
     least = float(worth[worth > 0].min()) if (worth > 0).any() else 1.0

@@ -7,8 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.optimal_control.step_program import TINY
-from mpc.tolerances import KKT, SOLVERS, VIOLATION_PRICE
+from mpc.tolerances import KKT, NEGLIGIBLE, SOLVERS, VIOLATION_PRICE
 
 
 def interior_point(H: ca.Sparsity, E: ca.Sparsity, G: ca.Sparsity, steps: int = 50) -> ca.Function:
@@ -26,7 +25,7 @@ def interior_point(H: ca.Sparsity, E: ca.Sparsity, G: ca.Sparsity, steps: int = 
     now, best, least = ca.MX.sym("now", n + equal + 2 * rows), ca.MX.sym("best", n), ca.MX.sym("least")
     stated, moved = _step(shapes, n, equal, rows)
     asked = ca.vertcat(given[1], given[3], ca.fmin(given[5], 0.0))
-    size = ca.fmax(ca.norm_inf(asked), TINY)
+    size = ca.fmax(ca.norm_inf(asked), NEGLIGIBLE**2)
     sized = [one / size if name in "gek" else one for name, one in zip(shapes, given)]
     matrix, right, residual, z = stated(now, *given)
     nearer = residual < least
