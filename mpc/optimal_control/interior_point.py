@@ -16,7 +16,8 @@ def interior_point(H: ca.Sparsity, E: ca.Sparsity, G: ca.Sparsity, steps: int = 
     z is where ½ z'Hz + g'z is least with Ez = e and Gz ≤ k, G with rows. Steps are centred as by Mehrotra (SIAM Journal
     on Optimization 2, 1992), each by one LDL factorisation, of a quasidefinite matrix (Vanderbei, SIAM Journal on
     Optimization 5, 1995); the best is returned. The residual is the norm of the gradient, of what rows are passed by,
-    and of products of multipliers and room, beside the largest of g, e and what z = 0 passes. Units of z should give H about 1 on its diagonal.
+    and of products of multipliers and room, beside the largest of g, e and what z = 0 passes. Units of z should give H
+    about 1 on its diagonal.
     """
     n, equal, rows = H.size1(), E.size1(), G.size1()
     shapes: dict[str, Any] = {"H": H, "g": n, "E": E, "e": equal, "G": G, "k": rows}

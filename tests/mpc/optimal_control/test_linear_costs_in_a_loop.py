@@ -71,7 +71,7 @@ def test_a_battery_that_trades_at_known_prices_earns_the_most(size):
 
 @pytest.mark.parametrize(("seed", "priced"), [(7, False), (50, True), (97, True)])
 def test_states_held_in_a_band_by_slacks_cost_the_least(seed, priced):
-    """In random units; one fails, by up to 57 %, where limits that pull, that push unmet, or stand-ins count for none."""
+    """In random units; one fails where limits that pull, that push unmet, or stand-ins count for nothing."""
     rng = np.random.default_rng(seed)
     nx, nu = rng.integers(1, 4), rng.integers(1, 3)
     N = int(rng.integers(8, 25))
