@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.halfspaces import box_of, first_positive
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -47,9 +48,9 @@ def real_time_iteration(law: MPCProblem, model: DiscreteModel) -> ca.Function:
     at = ca.horzcat(states[:, 1:], model.step(states[:, -1], now[:, -1], w[:, -1], p))
     columns = [column for column in (at[:, :-1], now, w, ca.repmat(p, 1, N)) if not column.is_empty()]
     after, A, B = _of_columns(model.derivatives).map(N)(*columns)
-    data, moves = _program(law)
+    data, moves, order = _program(law)
     program = data(x, at, now, after - at[:, 1:], A, B, x_ref, u_ref, last if limited else 0)
-    z, residual = interior_point(data.sparsity_out(0), data.sparsity_out(2), data.sparsity_out(4))(*program)
+    z, residual = interior_point(data.sparsity_out(0), data.sparsity_out(2), data.sparsity_out(4), order)(*program)
     d, v = moves(z)
     kept = {name: value for name, value in arguments.items() if not value.is_empty()}
     names = ["new_states", "new_inputs", "residual"]
@@ -81,15 +82,18 @@ def _of_columns(function: ca.Function) -> ca.Function:
     return ca.Function(name, list(kept.values()), results, list(kept), names)
 
 
-def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
-    """Scaled data of the QP along a plan, and moves of it."""
+def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function, list[int]]:
+    """Scaled data of the QP along a plan, moves of it, and an order of its unknowns."""
     nx, nu, N = law.nx, law.nu, law.horizon
-    weights = np.concatenate([np.diag(law.Q + law.P), np.diag(law.R)])
-    sizes = np.concatenate([law.state_size, first_positive(law.input_extent, np.ones(nu))])
-    worth = weights * sizes**2
+    to_go, by_input = _costs_to_go(law), np.diag(law.R)
+    extent = first_positive(law.input_extent, np.ones(nu))
+    worth = np.concatenate([(to_go * law.state_size**2).ravel(), by_input * extent**2])
     least = float(worth[worth > 0].min()) if (worth > 0).any() else 1.0
     # sizes are those that cost the same, so that neither units nor loose bounds tell any
-    size_x, size_u = np.split(np.where(worth > 0, np.sqrt(least / np.where(worth > 0, weights, 1.0)), sizes), [nx])
+    of_states, of_input = (
+        first_positive(np.sqrt(least / np.where(weights > 0, weights, np.inf)), sizes).T
+        for weights, sizes in ((to_go, law.state_size), (by_input, extent))
+    )
     slacks = N if len(law.state_rows[1]) + len(law.terminal_rows[1]) else 0
     sym = ca.SX.sym
     x, at, now, gaps = sym("x", nx), sym("at", nx, N + 1), sym("now", nu, N), sym("gaps", nx, N)
@@ -98,8 +102,8 @@ def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     width = nx + nu + (1 if slacks else 0)
     z = sym("z", width * N + nx)
     stages = ca.reshape(z[: width * N], width, N)
-    d = ca.diag(size_x) @ ca.horzcat(stages[:nx, :], z[width * N :])
-    v, s = ca.diag(size_u) @ stages[nx : nx + nu, :], stages[nx + nu :, :]
+    d = ca.DM(of_states) * ca.horzcat(stages[:nx, :], z[width * N :])
+    v, s = ca.diag(of_input) @ stages[nx : nx + nu, :], stages[nx + nu :, :]
     now_cost, cost = (_cost(law, at + i * d - x_ref, now + i * v - u_ref) for i in (0, 1))
     now_cost += ca.bilin(law.Q + law.P, x - at[:, 0])
     dear = VIOLATION_PRICE * ca.fmax(now_cost, NEGLIGIBLE**2 * least)
@@ -108,28 +112,43 @@ def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function]:
     of_slack = ca.sqrt(least / curved)
     for k in range(slacks):
         cost += linear * of_slack * s[k] + quadratic * (of_slack * s[k]) ** 2
-    equal = [(at[:, 0] + d[:, 0] - x) / size_x]
+    equal = [(at[:, 0] + d[:, 0] - x) / of_states[:, 0]]
     below = [ca.SX(-1.0), *(-s[k] for k in range(slacks))]  # the first always holds, so that there is one
+    Hu, most = law.input_rows
     for k in range(N):
         then = A[:, k * nx : (k + 1) * nx] @ d[:, k] + B[:, k * nu : (k + 1) * nu] @ v[:, k] + gaps[:, k]
-        equal.append((then - d[:, k + 1]) / size_x)
+        equal.append((then - d[:, k + 1]) / of_states[:, k + 1])
         input_, before = now[:, k] + v[:, k], now[:, k - 1] + v[:, k - 1] if k else last
-        of_input, most = law.input_rows
-        below.append((ca.DM(of_input) @ input_ - most) / (np.abs(of_input) @ size_u))
+        below.append((ca.DM(Hu) @ input_ - most) / (np.abs(Hu) @ of_input))
         if law.rate_limit is not None:
-            change = (input_ - before) / law.rate_limit
-            below += [change - 1, -change - 1]
+            below += [(sign * (input_ - before) - law.rate_limit) / (2 * of_input) for sign in (1, -1)]
         sets = [("state", law.state_rows)] + ([("terminal", law.terminal_rows)] if k == N - 1 else [])
         for kind, (H, right) in sets:
             if len(right):
                 over = (ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / law.price_units[kind] - of_slack * s[k]
-                below.append(over / (np.abs(H) @ size_x / law.price_units[kind] + of_slack))
+                below.append(over / (np.abs(H) @ of_states[:, k + 1] / law.price_units[kind] + of_slack))
     results = list(ca.hessian(cost / least, z))
     results[1] = ca.substitute(results[1], z, ca.DM.zeros(z.numel()))
     for rows in (ca.vertcat(*equal), ca.vertcat(*below)):
         results += [ca.jacobian(rows, z), -ca.substitute(rows, z, ca.DM.zeros(z.numel()))]
+    results.append(ca.sqrt(ca.fmax(now_cost, 0.0) / least))
     arguments = [x, at, now, gaps, A, B, x_ref, u_ref, last]
-    return ca.Function("data", arguments, results, {"cse": True}), ca.Function("moves", [z], [d, v])
+    n = z.numel()
+    order = []  # stage by stage
+    for k in range(N + 1):
+        order += [*range(n + nx * k, n + nx * (k + 1)), *range(width * k, min(width * (k + 1), n))]
+    return ca.Function("data", arguments, results, {"cse": True}), ca.Function("moves", [z], [d, v]), order
+
+
+def _costs_to_go(law: MPCProblem) -> Array:
+    """Costs (N + 1, nx) of a unit of each state alone under the regulator, at rest."""
+    V, costs = law.P, [np.diag(law.P)]
+    for _ in range(law.horizon):
+        slope, price = law.B.T @ V @ law.A + law.cross.T, law.R + law.B.T @ V @ law.B
+        V = law.Q + law.A.T @ V @ law.A - slope.T @ np.linalg.pinv(price, hermitian=True) @ slope
+        V = (V + V.T) / 2
+        costs.append(np.maximum(np.diag(V), np.diag(law.Q)))
+    return np.array(costs[::-1])
 
 
 def _cost(law: MPCProblem, error: Any, effort: Any) -> Any:
