@@ -111,6 +111,52 @@ def test_a_loop_costs_as_much_as_that_of_python(start, goal, track, others):
     assert costs[0] == pytest.approx(costs[1], rel=1e-5)
 
 
+@pytest.mark.parametrize("seed", [0, 3, 14, 16, 18])
+def test_weights_far_apart_and_prices_give_the_optimum_of_a_linear_plant(seed):
+    rng = np.random.default_rng(seed)
+    nx, nu, N = 3, 2, 12
+    A = rng.normal(size=(nx, nx))
+    A *= 1.02 / np.abs(np.linalg.eigvals(A)).max()
+    B = rng.normal(size=(nx, nu))
+    Q = 10 ** rng.uniform(-4, 4, nx) * [seed % 2, 1, 1]
+    P, R = 10 ** rng.uniform(2, 6), 10 ** rng.uniform(-4, 1, nu)
+    controller = NonlinearMPC(
+        lambda x, u: ca.DM(A) @ x + ca.DM(B) @ u, nx, nu, Q=Q, R=R, P=P * np.eye(nx), horizon=N, soft=(10.0, 1e4),
+        X=(-np.full(nx, 2.0), np.full(nx, 2.0)), U=(-np.ones(nu), np.ones(nu)), rate_limit=np.full(nu, 0.4),
+    )  # fmt: skip
+    x = rng.uniform(-1.5, 1.5, nx)
+    iteration = real_time_iteration(controller.linear, controller.model)
+    _, inputs, residual = iteration(x, np.tile(x[:, None], N + 1), np.zeros((nu, N)), 0, 0, np.zeros(nu))
+    costs = []
+    for plan in (np.asarray(inputs).T, controller.solve(x, u_prev=np.zeros(nu)).inputs):
+        assert np.abs(plan).max() <= 1 + 1e-9
+        assert np.abs(np.diff(plan, axis=0, prepend=0)).max() <= 0.4 + 1e-9
+        states = [x]
+        for u in plan:
+            states.append(A @ states[-1] + B @ u)
+        over = np.maximum(np.abs(states[1:]).max(axis=1) - 2, 0)
+        along = sum(Q @ state**2 for state in states[:-1]) + sum(R @ u**2 for u in plan)
+        costs.append(along + P * states[-1] @ states[-1] + 10 * over.sum() + 1e4 * over @ over)
+    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+    assert residual < 1e-9
+
+
+def test_a_loop_of_terminal_weights_far_above_the_others_is_that_of_python():
+    controller = NonlinearMPC(
+        lambda x, u: ca.vertcat(x[0] + 0.1 * x[1] + 0.005 * u, x[1] + 0.1 * u), 2, 1, Q=[1e-4, 1e-4], R=1e-4,
+        P=1e4 * np.eye(2), horizon=15, U=(-1, 1), iterations=1,
+    )  # fmt: skip
+    iteration = real_time_iteration(controller.linear, controller.model)
+    at = [np.array([0.4, 0.0])] * 2
+    states, inputs = np.tile(at[0][:, None], 16), np.zeros((1, 15))
+    for _ in range(20):
+        states, inputs, residual = (np.asarray(value) for value in iteration(at[0], states, inputs, 0, 0))
+        for i, u in enumerate((inputs[:, 0], controller(at[1]))):
+            at[i] = controller.model.next(at[i], u, np.zeros(0), np.zeros(0))
+        assert at[0] == pytest.approx(at[1], abs=2e-6)
+        assert residual < 1e-9
+
+
 def ca_cost(controller, plan, given):
     """Cost of a plan, summed up anew."""
     linear = controller.linear
