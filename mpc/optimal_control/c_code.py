@@ -83,7 +83,7 @@ def _of_columns(function: ca.Function) -> ca.Function:
 
 
 def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function, list[int]]:
-    """Scaled data of the QP along a plan, moves of it, and an order of its unknowns."""
+    """Scaled data of the QP, moves, and order of unknowns."""
     nx, nu, N = law.nx, law.nu, law.horizon
     to_go, by_input = _costs_to_go(law), np.diag(law.R)
     extent = first_positive(law.input_extent, np.ones(nu))
@@ -141,7 +141,7 @@ def _program(law: MPCProblem) -> tuple[ca.Function, ca.Function, list[int]]:
 
 
 def _costs_to_go(law: MPCProblem) -> Array:
-    """Costs (N + 1, nx) of a unit of each state alone under the regulator, at rest."""
+    """Costs to go of each state at rest, (N + 1, nx)."""
     V, costs = law.P, [np.diag(law.P)]
     for _ in range(law.horizon):
         slope, price = law.B.T @ V @ law.A + law.cross.T, law.R + law.B.T @ V @ law.B

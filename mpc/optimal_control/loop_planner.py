@@ -233,7 +233,9 @@ class LoopPlanner:
                     break
         best = min(tried, key=lambda one: one.rank)
         bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
-        if best.status in RANKS[2:] and not bounded and any(run.falls(one.found) for one in tried):
+        unsolved = best.status in RANKS[2:] and not bounded
+        endless = unsolved and (any(run.falls(one.found) for one in tried) or self._falls_along(x, given, best))
+        if endless:
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
@@ -245,6 +247,16 @@ class LoopPlanner:
         sure = plan.status is Status.SOLVED or clock.late
         nearer = None if sure else self._followed(x, given, plan, clock)
         return nearer if nearer and self._sure(x, given, nearer, plan) else plan
+
+    def _falls_along(self, x: Array, given: Given, best: Tried) -> bool:
+        """Whether the cost falls on, within limits, however far the inputs go."""
+        costs = []
+        for far in NEGLIGIBLE ** -np.arange(3.0):
+            states, inputs = self._led_to(x, far * self._trajectory(best.found.v)[1], given)
+            at = self._local(x, given, finite(states), inputs)
+            costs.append(at.cost() if at.passed[1] <= FEASIBLE else np.nan)
+        falls, on = -np.diff(costs)
+        return bool(falls > FEASIBLE * abs(costs[0]) and on >= falls / 2)
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
              clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip

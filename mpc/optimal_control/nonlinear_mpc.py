@@ -395,8 +395,9 @@ class NonlinearMPC(Immutable):
         the plan before as it was returned, then, where the law has them, disturbances (nw, N) and parameters (np),
         state_ref (nx, N + 1), input_ref (nu, N) and, with a rate limit, last_input (nu); NULL stands for zeros. Results
         are new_states, new_inputs, whose first column is to be applied, and residual. Left to the caller: the first
-        plan (call it some times at the first state), and what stands in where it is late or the residual is above 1e-9,
-        not solved: then apply the second column of the plan before, and pass that shifted by one. U is a box.
+        plan (call it some times at the first state), and what stands in where it is late or the residual is above 1e-6,
+        not solved: then apply the second column of the plan before, and pass that shifted by one, its last column
+        twice; where that lasts, begin anew. U is a box.
 
         Parameters
         ----------

@@ -1,10 +1,13 @@
 """Loops whose programs are linear: their plans cost what linear programming says."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from mpc import InputError
 from mpc.optimal_control import NonlinearMPC, Phase
 
 SAMPLES = 24
@@ -120,3 +123,21 @@ def test_states_held_in_a_band_by_slacks_cost_the_least(seed, priced):
         assert plan.status.name == "SOLVED"
         assert plan.cost == pytest.approx(least(x), rel=1e-5, abs=1e-8 * of_cost * N)
         x = np.clip(A @ x + B @ (u[:nu] / of_u) + 0.01 * rng.normal(size=nx), -0.95 * wide, 0.95 * wide)
+
+
+def swing(x, u):
+    """A pendulum, by Euler's rule."""
+    return ca.vertcat(x[0] + 0.1 * x[1], x[1] + 0.1 * (u - ca.sin(x[0])))
+
+
+@pytest.mark.parametrize(
+    "cost", [lambda x, u: u, lambda x, u: u + 0.1 * x[0], lambda x: -x[0], lambda u: -ca.sqrt(1 + u**2)]
+)
+def test_a_cost_that_falls_without_end_is_an_error_until_inputs_have_bounds(cost):
+    free = Phase(swing, 2, 1, discrete=True, duration=10, stage_cost=cost)
+    with pytest.raises(InputError, match="stage_cost: got a cost that falls without end") as caught:
+        NonlinearMPC(free)([1.0, 1.0])
+    assert "Bound states and inputs" in str(caught.value)
+    law = NonlinearMPC(replace(free, u_bounds=(-1, 1)))
+    law([1.0, 1.0])
+    assert law.last_plans[0].status.name == "SOLVED"
