@@ -391,13 +391,16 @@ class NonlinearMPC(Immutable):
         """Write a real-time iteration as C: `nonlinear_mpc.c` and header.
 
         It contains `iteration` (model, derivatives, quadratic program and an interior-point method), `step` and
-        `derivatives`. Arguments of `iteration`, by columns, are state (nx), states (nx, N + 1) and inputs (nu, N) of
-        the plan before as it was returned, then, where the law has them, disturbances (nw, N) and parameters (np),
-        state_ref (nx, N + 1), input_ref (nu, N) and, with a rate limit, last_input (nu); NULL stands for zeros. Results
-        are new_states, new_inputs, whose first column is to be applied, and residual. Left to the caller: the first
-        plan (call it some times at the first state), and what stands in where it is late or the residual is above 1e-6,
-        not solved: then apply the second column of the plan before, and pass that shifted by one, its last column
-        twice; where that lasts, begin anew. U is a box.
+        `derivatives`, called as CasADi calls C: `iteration_work` tells how long its four arrays are to be. Arguments of
+        `iteration`, by columns, are state (nx), states (nx, N + 1) and inputs (nu, N) of the plan before as it was
+        returned, then, where the law has them, disturbances (nw, N) and parameters (np), state_ref (nx, N + 1),
+        input_ref (nu, N) and, with a rate limit, last_input (nu); NULL stands for zeros. Results are new_states,
+        new_inputs, whose first column is to be applied, and residual. Left to the caller: the first plan, and what
+        stands in where a plan is late or its residual above 1e-9, not solved, as may be far outside the limits.
+
+        As the plan before is shifted within, a first plan comes of calls at the first state whose plans get their first
+        columns twice and lose their last. For what is not solved the second column of the plan before may stand in; the
+        next call gets that shifted by one, its last column twice. Where that lasts, begin anew. U is a box.
 
         Parameters
         ----------
