@@ -232,10 +232,7 @@ class LoopPlanner:
                 if best.status in RANKS[:2] and not best.cost > expected:
                     break
         best = min(tried, key=lambda one: one.rank)
-        bounded = np.isfinite([*self.loop.phase.x_bounds]).all() and np.isfinite([*self.loop.phase.u_bounds]).all()
-        unsolved = best.status in RANKS[2:] and not bounded
-        endless = unsolved and (any(run.falls(one.found) for one in tried) or self._falls_along(x, given, best))
-        if endless:
+        if best.status in RANKS[2:] and self._endless(x, given, run, tried, best, clock):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         plan = self._packed(best, run.program, x, given, before)
@@ -248,8 +245,13 @@ class LoopPlanner:
         nearer = None if sure else self._followed(x, given, plan, clock)
         return nearer if nearer and self._sure(x, given, nearer, plan) else plan
 
-    def _falls_along(self, x: Array, given: Given, best: Tried) -> bool:
-        """Whether the cost falls on, within limits, however far the inputs go."""
+    def _endless(self, x: Array, given: Given, run: Run, tried: list[Tried], best: Tried, clock: Clock) -> bool:
+        """Whether the cost falls without end, in what was tried or as inputs go on, within limits."""
+        free_x, free_u = (not np.isfinite([*at]).all() for at in (self.loop.phase.x_bounds, self.loop.phase.u_bounds))
+        if (free_x or free_u) and any(run.falls(one.found) for one in tried):
+            return True
+        if not free_u or clock.late:
+            return False
         costs = []
         for far in NEGLIGIBLE ** -np.arange(3.0):
             states, inputs = self._led_to(x, far * self._trajectory(best.found.v)[1], given)
