@@ -246,7 +246,7 @@ class LoopPlanner:
         return nearer if nearer and self._sure(x, given, nearer, plan) else plan
 
     def _endless(self, x: Array, given: Given, run: Run, tried: list[Tried], best: Tried, clock: Clock) -> bool:
-        """Whether the cost falls without end, in what was tried or as inputs go on, within limits."""
+        """Whether the cost falls without end."""
         free_x, free_u = (not np.isfinite([*at]).all() for at in (self.loop.phase.x_bounds, self.loop.phase.u_bounds))
         if (free_x or free_u) and any(run.falls(one.found) for one in tried):
             return True
