@@ -253,12 +253,12 @@ class LoopPlanner:
         if not free_u or clock.late:
             return False
         costs = []
-        for far in NEGLIGIBLE ** -np.arange(3.0):
+        for far in NEGLIGIBLE ** -np.arange(5.0):
             states, inputs = self._led_to(x, far * self._trajectory(best.found.v)[1], given)
             at = self._local(x, given, finite(states), inputs)
             costs.append(at.cost() if at.passed[1] <= FEASIBLE else np.nan)
-        falls, on = -np.diff(costs)
-        return bool(falls > FEASIBLE * abs(costs[0]) and on >= falls / 2)
+        falls = -np.diff(costs)
+        return bool(falls[0] > FEASIBLE * abs(costs[0]) and (falls[1:] >= falls[:-1] / 2).all())
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float,
              clock: Clock) -> tuple[Array, Array] | None:  # fmt: skip

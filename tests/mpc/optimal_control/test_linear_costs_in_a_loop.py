@@ -141,3 +141,17 @@ def test_a_cost_that_falls_without_end_is_an_error_until_inputs_have_bounds(cost
     law = NonlinearMPC(replace(free, u_bounds=(-1, 1)))
     law([1.0, 1.0])
     assert law.last_plans[0].status.name == "SOLVED"
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.parametrize(
+    ("model", "cost", "least"),
+    [(lambda x, u: x + ca.tanh(1e-7 * u), lambda x: (x - 1e3) ** 2, 0),
+     (lambda x, u: x + 0.1 * (u - ca.sin(x)), lambda x, u: -x + 1e-12 * u**2, -np.inf),
+     (lambda x, u: x + 1e-4 * u / ca.sqrt(1 + 1e-8 * u**2), lambda x: 1 / (1 + x**2), -np.inf)],
+    ids=["saturated", "cheap inputs", "saturated and flat"],
+)  # fmt: skip
+def test_a_cost_with_an_end_is_no_error_where_iterations_are_few(model, cost, least, iterations):
+    free = Phase(model, 1, 1, discrete=True, duration=10, stage_cost=cost, u_bounds=(least, np.inf))
+    law = NonlinearMPC(free, most_iterations=iterations)
+    assert np.isfinite(law([3.0])).all()
